@@ -30,7 +30,8 @@ class ComparisonResults(Displayed):
     ``failures`` are those outside ``prediction`` and ``matrix``, which contain their own. ``timings`` are in seconds;
     they and ``day`` alone differ between two equal runs. ``controllers`` gives the file of each controller, relative
     to the folder of the run. ``conditions`` are the errors of each model within and across conditions, if these were
-    left out. ``day`` is that of the last computed step, in UTC; ``report.json`` does not contain it.
+    left out. ``task_notes`` are the held-out errors of a reward that was learned, in words. ``day`` is that of the
+    last computed step, in UTC; ``report.json`` does not contain it.
     """
 
     title: str
@@ -46,6 +47,7 @@ class ComparisonResults(Displayed):
     timings: Mapping[str, float] = field(default_factory=dict)
     controllers: Mapping[str, str] = field(default_factory=dict)
     conditions: Mapping[str, tuple[ConditionError, ...]] = field(default_factory=dict)
+    task_notes: tuple[str, ...] = ()
     day: date | None = None
 
     def facts(self) -> Mapping[str, str]:

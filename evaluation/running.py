@@ -272,9 +272,16 @@ def gather_results(comparison: Comparison, store: Store) -> ComparisonResults:
             for label, cell in comparison.conditions.items()
             if (outcome := store.outcome(cell)).value is not None
         },
+        task_notes=_task_notes(comparison, store),
         timings={cell.title: store.outcome(cell).seconds for cell in comparison.plan},
         day=None if computed is None else computed.date(),
     )
+
+
+def _task_notes(comparison: Comparison, store: Store) -> tuple[str, ...]:
+    """Return sentences on the reward that the task has learned; none if it did not learn."""
+    learned = None if comparison.learned is None else store.outcome(comparison.learned).value
+    return () if learned is None else learned.sentences
 
 
 MATRIX_KINDS = ("run",)

@@ -38,7 +38,7 @@ from .rigid_body import RigidBody
 from .system import Channel, System
 from .tasks.point_to_point import PointToPoint
 from .tasks.reward import register_reward
-from .tasks.task import Task, TaskState, make_task
+from .tasks.task import Task, TaskState, learn_task, make_task
 from .tuning import Tuning
 from .validation.folds import ConditionFold, EpisodeFold
 from .version import __version__
@@ -83,6 +83,7 @@ __all__ = [
     "evolve",
     "evolve_controller",
     "is_stored_artefact",
+    "learn_task",
     "load_champion",
     "load_model",
     "load_plugin",

@@ -60,6 +60,7 @@ SECTIONS: tuple[Callable[[ComparisonResults], Section | None], ...] = (
     models.section,
     advice.section,
     behaviour.section,
+    data.task_section,
     data.section,
     run.section,
 )
@@ -136,7 +137,7 @@ def to_json(report: ComparisonResults) -> dict[str, Any]:
             "training": report.data.training,
             "test": report.data.test,
         },
-        "notes": report.notes,
+        "notes": (*report.notes, *report.task_notes),
         "models": report.models,
         "prediction": None if report.prediction is None else prediction_to_json(report.prediction),
         **({"conditions": report.conditions} if report.conditions else {}),

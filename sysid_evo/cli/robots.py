@@ -134,10 +134,23 @@ def record(
     out.print(episode_table(dataset))
     for one in sysid_evo.data.manoeuvre_results(dataset):
         print_line(str(one))
+    for sentence in reward_sentences(machine.default_task, dataset):
+        print_line(sentence)
     print_line(f"data set stored in {folder}")
     if ended is not None:
         print_status(f"the recording was cut short: {ended}")
         raise typer.Exit(recorded.report.reason.exit_code)
+
+
+def reward_sentences(task: str, dataset: sysid_evo.Dataset) -> tuple[str, ...]:
+    """Return the returns of recorded episodes, and the held-out errors of the reward that ``task`` learns from them."""
+    returns = [episode.total_reward for episode in dataset if episode.total_reward is not None]
+    if not returns or not task:
+        return ()
+    mean = sum(returns) / len(returns)
+    known = f"Return of the {len(returns):,} episodes: mean {mean:.4g}, best {max(returns):.4g}."
+    goal = sysid_evo.make_task(task)
+    return (known, *(goal.learn(dataset).sentences if goal.needs_recording else ()))
 
 
 DEFAULT_ROBOT = "emulated_car"

@@ -3,7 +3,7 @@
 from sysid_evo.tasks.point_to_point import PointToPoint
 from sysid_evo.tasks.references import Balance, SetPoint, SwingUp, TrackReference
 from sysid_evo.tasks.reward import NamedReward, Reward, register_reward
-from sysid_evo.tasks.task import Scene, Target, Task, TaskState, make_task
+from sysid_evo.tasks.task import Scene, Target, Task, TaskState, learn_task, make_task
 from sysid_evo.tasks.walled_track import WalledTrack
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "TaskState",
     "TrackReference",
     "WalledTrack",
+    "learn_task",
     "make_task",
     "register_reward",
 ]

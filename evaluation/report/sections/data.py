@@ -1,4 +1,4 @@
-"""Episodes and channels of the data, and notes on them."""
+"""Episodes and channels of the data, notes on them, and the reward that a task has learned from them."""
 
 from __future__ import annotations
 
@@ -18,6 +18,13 @@ def section(report: ComparisonResults) -> Section:
     )
     items = [episode_sheet(report), channel_list(report)]
     return Section("Data", items, [sentence, *report.notes], background=True)
+
+
+def task_section(report: ComparisonResults) -> Section | None:
+    """Return the task and what its learned reward is worth; None if it has learned nothing."""
+    if not report.task_notes:
+        return None
+    return Section("Task", (), [f"Task: {report.settings.get('task')}.", *report.task_notes])
 
 
 SHOWN_EPISODES = 40

@@ -8,9 +8,9 @@ from evaluation.cells.data import HoldOut, whole_episodes
 from evaluation.experiment import Experiment, meaningful
 from evaluation.planning import plan_comparison
 from evaluation.running import compare
-from hardware.robot import Robot
+from hardware.robot import Robot, find_robot
 from sysid_evo.data import Dataset
-from sysid_evo.errors import IncompatibleSystem, InvalidArgument, UnknownName
+from sysid_evo.errors import IncompatibleSystem, IncompatibleTask, InvalidArgument, UnknownName
 from sysid_evo.models import save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec, models, robots
@@ -280,3 +280,9 @@ def test_a_few_episodes_or_long_ones_are_cut_instead():
     parts = HoldOut().of(swings([400] * 9))
     assert parts.test is not None
     assert len(parts.test) == len(parts.training) == 9
+
+
+def test_recordings_of_an_environment_without_its_task_are_told_its_name():
+    data = find_robot('gymnasium(id="CartPole-v1")').record(seed=0, duration=20.0).dataset
+    with pytest.raises(IncompatibleTask, match=r'needs a planar body.*environment\(id="CartPole-v1"\).*--plugin FILE'):
+        plan_comparison(Experiment.of(SHORT | {"models": ("linear",)}), dataset=data)

@@ -36,8 +36,9 @@ def registered():
     register_reward("rooted", min_reward=-3.0, horizon=1)(rooted)
     register_reward("odd", min_reward=0.0, start={"torque": (0.0, 1.0)})(rooted)
     yield
-    for name in ("swung", "swung_in_python", "braked", "rooted", "odd"):
-        tasks.forget(name)
+    for name in ("swung", "swung_in_python", "braked", "rooted", "odd", "faster", "row", "named", "wrong"):
+        if name in tasks.names():
+            tasks.forget(name)
 
 
 def test_fitness_is_the_mean_reward_of_the_states_in_which_controls_are_given():
@@ -107,6 +108,43 @@ def test_a_trial_begins_between_the_two_values_and_ends_when_terminated_is_true(
     state = task.begin(trial_seeds(1, 2))
     moved, _ = task.advance(state, state.state, after, control=np.zeros((2, 1)))
     assert moved.alive.tolist() == [True, False]
+
+
+def faster(angular_speed, next_angular_speed, torque, weight=0.5):
+    return next_angular_speed - angular_speed - weight * torque
+
+
+def test_a_reward_may_depend_on_the_states_before_and_after_the_step():
+    register_reward("faster", min_reward=-9.0, horizon=1)(faster)
+    task = make_task("faster(weight=2.0)").bind(pendulum())
+    before, after = np.array([[0.0, 1.0]]), np.array([[0.1, 4.0]])
+    trial, _ = task.advance(task.begin(SEEDS[:1]), before, after, control=np.array([[0.25]]))
+    assert task.fitness(trial)[0] == pytest.approx(4.0 - 1.0 - 2.0 * 0.25)
+    check_task("faster", pendulum(), horizon=20)
+    assert task.kernel() is not None
+    arrays = Reward(lambda before, control, after: after[:, 1] - before[:, 1], horizon=1).bind(pendulum())
+    trial, _ = arrays.advance(arrays.begin(SEEDS[:1]), before, after, control=np.array([[0.25]]))
+    assert arrays.fitness(trial)[0] == pytest.approx(3.0)
+    with pytest.raises(InvalidArgument, match="expected no scalar for a reward of three arguments"):
+        Reward(lambda before, control, after: after[:, 0], scalar=lambda x, u: x[0])
+
+
+def test_start_may_be_a_function_that_draws_a_state_or_values_by_name():
+    def row(rng):
+        return rng.uniform(0.2, 0.3, 2)
+
+    def named(rng):
+        return {"angular_speed": rng.uniform(1.0, 2.0)}
+
+    for name, start in (("row", row), ("named", named), ("wrong", lambda rng: {"speed": 1.0})):
+        register_reward(name, min_reward=-9.0, horizon=1, start=start)(faster)
+    at_row, at_named = (make_task(name).bind(pendulum()).begin(SEEDS).state for name in ("row", "named"))
+    assert ((at_row >= 0.2) & (at_row <= 0.3)).all()
+    assert len(np.unique(at_row)) == 6
+    assert ((at_named[:, 1] >= 1.0) & (at_named[:, 1] <= 2.0)).all()
+    np.testing.assert_array_equal(at_named[:, 0], pendulum().neutral_state[0])
+    with pytest.raises(IncompatibleTask, match="start gives 'speed'; the states are angle, angular_speed"):
+        make_task("wrong").bind(pendulum()).begin(SEEDS)
 
 
 def test_what_cannot_be_computed_counts_as_the_lowest():
