@@ -125,7 +125,7 @@ def response_pictures(report: ComparisonResults) -> list[FigureElement]:
     all_of = {"linear fit": reference, **found}
     slowest = max((-1.0 / reference.continuous(z).real for z in reference.poles if abs(z) < 1.0), default=0.0)
     count = int(np.clip(LASTING * slowest / reference.dt, *STEPS))
-    samples = np.arange(0, count + 1, -(-count // POINTS))
+    samples = np.unique(np.round(count * np.linspace(0.0, 1.0, POINTS) ** 1.5)).astype(int)  # more at the start
     times = np.asarray(samples * reference.dt, dtype=np.float64)
     w = np.geomspace(2.0 * np.pi / (count * reference.dt), np.pi / reference.dt, POINTS)
     effect = np.abs(reference.to_step(count)).max(axis=0) * point.spread[system.nx :] / point.spread[: system.nx, None]
