@@ -4,7 +4,15 @@ from .experiment import Experiment
 from .exploitability.assessment import assess_exploitability
 from .exploitability.results import ModelExploitability, exploitability_card
 from .formatting import by_error, horizon_name, three_digits
-from .members import check_fit, contenders, dynamics_of, find_column, is_model_of_a_run, matrix_of, transfer_targets
+from .members import (
+    check_fit,
+    dynamics_of,
+    find_column,
+    is_model_of_a_run,
+    matrix_of,
+    stored_controllers,
+    transfer_targets,
+)
 from .planning import Comparison, check_experiment, comparison_of, plan_comparison, unsettled
 from .prediction.cases import PredictionProtocol, main_horizon
 from .prediction.scores import PERSISTENCE, Prediction
@@ -102,7 +110,7 @@ __all__ = [
     "check_run_folder",
     "compare",
     "comparison_of",
-    "contenders",
+    "stored_controllers",
     "driven_by",
     "dynamics_of",
     "enough_blocks",

@@ -167,8 +167,8 @@ def _on_a_plane(trace: Trace, system: System, motion: PlanarBody, fastest: Array
     forward, lateral, yaw = motion.indices(system.state_names)
     ahead = run.states[:, forward]
     speed = np.abs(ahead) if lateral is None else np.hypot(ahead, run.states[:, lateral])
-    still = MOVING * fastest[forward]
-    moving, turning = speed > still, np.abs(run.states[:, yaw]) > MOVING * fastest[yaw]
+    rest_speed = MOVING * fastest[forward]
+    moving, turning = speed > rest_speed, np.abs(run.states[:, yaw]) > MOVING * fastest[yaw]
     found = {
         "speed": float(speed.mean()),
         "backwards": float((ahead[moving] < 0.0).mean()) if moving.any() else np.nan,
@@ -177,7 +177,7 @@ def _on_a_plane(trace: Trace, system: System, motion: PlanarBody, fastest: Array
         "at rest": float((~moving).mean()),
     }
     if len(trace.waypoints) and run.pose is not None:
-        hunt = chase(run.pose[:, :2], trace.waypoints, trace.waypoint_radius, ahead, run.dt, still=still)
+        hunt = chase(run.pose[:, :2], trace.waypoints, trace.waypoint_radius, ahead, run.dt, rest_speed=rest_speed)
         misses = len(hunt.reactions)
         found |= {
             "missed at first": hunt.missed / min(hunt.markers, hunt.reached + 1),
@@ -228,10 +228,12 @@ class WaypointApproach:
     orbiting: float
 
 
-def chase(place: Array, markers: Array, radius: float, forward: Array, dt: float, *, still: float) -> WaypointApproach:
+def chase(
+    place: Array, markers: Array, radius: float, forward: Array, dt: float, *, rest_speed: float
+) -> WaypointApproach:
     """Return how a body at ``place`` (T + 1, 2) m approached ``markers`` (k, 2), one after the other.
 
-    ``forward`` (T + 1,) is its signed speed; below ``still`` (m/s) it is at rest.
+    ``forward`` (T + 1,) is its signed speed; below ``rest_speed`` (m/s) it is at rest.
     """
     begin, reached, missed = 0, 0, 0
     reactions: list[Reaction] = []
@@ -246,7 +248,7 @@ def chase(place: Array, markers: Array, radius: float, forward: Array, dt: float
         leg = slice(begin, end + 1)
         misses = [begin + step for step in _misses(distance[: end - begin + 1], radius)]
         for step in misses:
-            reactions.append(_reaction(forward[step : step + 1 + round(REACTION_TIME / dt)], still))
+            reactions.append(_reaction(forward[step : step + 1 + round(REACTION_TIME / dt)], rest_speed))
             if there:
                 after.append((end - step) * dt)
         missed += bool(misses)
@@ -283,12 +285,12 @@ def _misses(distance: Array, radius: float) -> list[int]:
     return found
 
 
-def _reaction(forward: Array, still: float) -> Reaction:
+def _reaction(forward: Array, rest_speed: float) -> Reaction:
     """Return the reaction of a body with these speeds; it turns back if it moves in the other direction."""
-    moving = forward[np.abs(forward) > still]
+    moving = forward[np.abs(forward) > rest_speed]
     if len(moving) and np.sign(moving[-1]) != np.sign(moving[0]):
         return "turns back"
-    return "stops" if bool((np.abs(forward) <= still).any()) else "drives on"
+    return "stops" if bool((np.abs(forward) <= rest_speed).any()) else "drives on"
 
 
 def _orbits(off: Array, longest: int) -> BoolArray:

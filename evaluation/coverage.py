@@ -120,10 +120,10 @@ FEWEST_STEPS, MOST_STEPS = 200, 20_000
 
 @dataclass(frozen=True)
 class CoverageGap:
-    """A region of one or two channels, with the share ``asked`` of steps in it and the share ``seen`` of the data."""
+    """A region of one or two channels, with the share ``needed`` of steps in it and the share ``seen`` of the data."""
 
     place: tuple[Region, ...]
-    asked: float
+    needed: float
     seen: float
 
     @property
@@ -132,16 +132,16 @@ class CoverageGap:
 
     @property
     def figures(self) -> dict[str, float]:
-        return {"asked": self.asked, "seen": self.seen}
+        return {"needed": self.needed, "seen": self.seen}
 
 
-def largest_gap(seen: Steps, asked: Steps) -> CoverageGap | None:
-    """Return the region with the largest share of ``asked`` that ``seen`` rarely contains; None without one."""
-    seen, asked = seen.thinned(MOST_STEPS), asked.thinned(MOST_STEPS)
-    if len(seen) < FEWEST_STEPS or len(asked) < FEWEST_STEPS:
+def largest_gap(seen: Steps, needed: Steps) -> CoverageGap | None:
+    """Return the region with the largest share of ``needed`` that ``seen`` rarely contains; None without one."""
+    seen, needed = seen.thinned(MOST_STEPS), needed.thinned(MOST_STEPS)
+    if len(seen) < FEWEST_STEPS or len(needed) < FEWEST_STEPS:
         return None
     regions = _regions(seen.system, _columns(seen))
-    wanted, channels = _together(regions, asked), np.array([region.channel for region in regions])
+    wanted, channels = _together(regions, needed), np.array([region.channel for region in regions])
     other = (channels[:, None] != channels[None, :]) | np.eye(len(regions), dtype=bool)
     return _largest(regions, other & (wanted >= MIN_SHARE), wanted, _together(regions, seen))
 
@@ -153,7 +153,7 @@ UNTRIED = 0.03
 def untried_pair(seen: Steps) -> CoverageGap | None:
     """Return a state and a command that both occur in ``seen``, but rarely together; None without one.
 
-    Its share ``asked`` is the share it would have if every command were given in every state.
+    Its share ``needed`` is the share it would have if every command were given in every state.
     """
     if len(seen) < FEWEST_STEPS or not seen.system.nu:
         return None

@@ -232,8 +232,8 @@ def check_settings(experiment: Experiment, *, has_data: bool) -> None:
     ``has_data``: there are recordings, also ones that the experiment does not name.
     """
     if experiment.data_digest is None:
-        asked = {name: getattr(experiment, name) for name in experiment.model_fields_set}
-        refuse_meaningless(MEANINGLESS, asked, {**asked, "data": has_data})
+        set_by_user = {name: getattr(experiment, name) for name in experiment.model_fields_set}
+        refuse_meaningless(MEANINGLESS, set_by_user, {**set_by_user, "data": has_data})
 
 
 def default_task(robots: Iterable[Spec | None]) -> str:

@@ -80,7 +80,7 @@ def transfer_targets(names: Sequence[str], run: Path | None) -> tuple[TransferTa
     return tuple(replace(place, label=label) for place, label in zip(found, labels, strict=True))
 
 
-def contenders(
+def stored_controllers(
     names: Sequence[str], system: System, task: str | None, *, robots: Sequence[Spec | None] = ()
 ) -> tuple[StoredController, ...]:
     """Return the controllers named by ``names``: run folders, files, specs of baseline controllers.

@@ -22,7 +22,7 @@ from evaluation.cells.controllers import (
 )
 from evaluation.cells.data import GivenData, HoldOut, RecordedData
 from evaluation.cells.learned_task import LearnTask, learning_cell, needed
-from evaluation.cells.models import Fit, JudgeFit, LeaveConditionsOut, Predict
+from evaluation.cells.models import Fit, LeaveConditionsOut, Predict, ScoreFit
 from evaluation.cells.plants import Plant, runner_of
 from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, FILE, Experiment, check_settings, with_task
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
@@ -78,7 +78,7 @@ class Comparison:
     matrix: PlannedMatrix | None = None
     exploitability: Cell[AssessExploitability] | None = None
     conditions: Mapping[str, Cell[LeaveConditionsOut]] = field(default_factory=dict)
-    judged: Mapping[str, Cell[JudgeFit]] = field(default_factory=dict)
+    held_out_scores: Mapping[str, Cell[ScoreFit]] = field(default_factory=dict)
     learned: Cell[LearnTask] | None = None
 
     @property
@@ -149,7 +149,9 @@ def plan_comparison(
         if column is not None and column.timed:
             experiment = experiment.model_copy(update={"reference": reference})  # not decided again elsewhere
         exploitability = AssessExploitability(matrix, data, experiment.seed).cell()
-    judged = {label: JudgeFit(fit).cell() for label, fit in fits.items()} if experiment.stop_after == "fit" else {}
+    held_out_scores = (
+        {label: ScoreFit(fit).cell() for label, fit in fits.items()} if experiment.stop_after == "fit" else {}
+    )
     several = _conditions(experiment, dataset)
     without = {label: LeaveConditionsOut(fit, several).cell() for label, fit in fits.items()} if several else {}
     settled = experiment.model_copy(
@@ -162,13 +164,15 @@ def plan_comparison(
         }
     )
     advice = Advise(data, fits, predictions, matrix, experiment.seed).cell()
-    wanted: list[Cell] = [data, *fits.values(), *predictions.values(), *without.values(), *judged.values()]
+    wanted: list[Cell] = [data, *fits.values(), *predictions.values(), *without.values(), *held_out_scores.values()]
     wanted += needed(learned)
     if matrix is not None and exploitability is not None:
         wanted += [*matrix.controllers, *matrix.runs, exploitability]
     wanted.append(advice)
     plan = Plan.of(wanted, remarks=remarks)
-    return Comparison(settled, plan, data, fits, predictions, advice, matrix, exploitability, without, judged, learned)
+    return Comparison(
+        settled, plan, data, fits, predictions, advice, matrix, exploitability, without, held_out_scores, learned
+    )
 
 
 def comparison_of(run: Path) -> tuple[Comparison, tuple[str, ...]]:
@@ -205,11 +209,11 @@ def check_experiment(experiment: Experiment) -> None:
     if robot is not None:
         make_robot(robot)
     _constructible(evolution_settings(with_task(experiment, (robot,)) if experiment.stop_after is None else experiment))
-    asked = asked_models(experiment)
-    if asked is not None:
-        for spec in asked:
+    requested = requested_models(experiment)
+    if requested is not None:
+        for spec in requested:
             made_model(spec, experiment.preset)
-        ensembles_of(experiment, tuple(spec.label for spec in asked))
+        ensembles_of(experiment, tuple(spec.label for spec in requested))
 
 
 def unsettled(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -425,7 +429,13 @@ def _matrix(
             several = tuple(cell for cell in evolved if len(cell.settings.members) > 1)
             champions += (
                 controller_cell(
-                    experiment, models, judges=models, label=POLISHED, sift=True, further=several, learned=learned
+                    experiment,
+                    models,
+                    scoring_models=models,
+                    label=POLISHED,
+                    accurate_only=True,
+                    further=several,
+                    learned=learned,
                 ),
             )
     champions += baselines
@@ -463,7 +473,7 @@ DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_
 """The two multi-model controllers of the paper, mm1c and, as far as its text describes it, mm2c."""
 
 
-def asked_models(experiment: Experiment) -> tuple[Spec, ...] | None:
+def requested_models(experiment: Experiment) -> tuple[Spec, ...] | None:
     """Return the specs of the models that are named, None if the choice is left open."""
     if experiment.models is None or experiment.models == (ALL,):
         return None
@@ -474,9 +484,9 @@ def asked_models(experiment: Experiment) -> tuple[Spec, ...] | None:
 
 def models_of(experiment: Experiment, system: System, remarks: list[str]) -> tuple[Spec, ...]:
     """Return the specs of the models, complete with the preset; default families that cannot run give remarks."""
-    asked = asked_models(experiment)
-    if asked is not None:
-        return tuple(_usable(spec, experiment.preset, system) for spec in asked)
+    requested = requested_models(experiment)
+    if requested is not None:
+        return tuple(_usable(spec, experiment.preset, system) for spec in requested)
     usual: tuple[str, ...] = PAPER_FAMILIES if experiment.preset == "paper" else OTHER_FAMILIES
     if system.periods and usual is OTHER_FAMILIES and experiment.models is None:
         usual = TURNING_FAMILIES
@@ -518,8 +528,8 @@ def ensembles_of(experiment: Experiment, labels: tuple[str, ...]) -> tuple[tuple
     if experiment.ensembles is None:
         chosen = tuple(members for members in DEFAULT_ENSEMBLES if set(members) <= set(labels))
         return chosen or ((labels,) if len(labels) > 1 else ())
-    asked = [_ensemble(text, labels) for text in experiment.ensembles]
-    return tuple({frozenset(members): members for members in reversed(asked)}.values())[::-1]
+    requested = [_ensemble(text, labels) for text in experiment.ensembles]
+    return tuple({frozenset(members): members for members in reversed(requested)}.values())[::-1]
 
 
 def _ensemble(text: str, labels: tuple[str, ...]) -> tuple[str, ...]:

@@ -100,7 +100,7 @@ def plan_evolution(experiment: Experiment, store: Store, members: Sequence[str])
     remarks = check_evolution(store, columns, evolution_settings(experiment))
     others = other_models(store, columns)
     learned = _learned(evolution_settings(experiment).task, (*columns, *others))
-    champion = controller_cell(experiment, columns, judges=columns + others, learned=learned)
+    champion = controller_cell(experiment, columns, scoring_models=columns + others, learned=learned)
 
     def on(column: Plant) -> Cell[Run]:
         return Run(champion, column, experiment.estimator_delay, CLAIM_TRIALS, 0, experiment.seed).cell()
@@ -110,8 +110,8 @@ def plan_evolution(experiment: Experiment, store: Store, members: Sequence[str])
     on_models = all(column.robot is None for column in columns)
     claims = tuple(map(on, columns))
     elsewhere = tuple(on(column) for column in first if on_models and column.label not in labels)
-    judged = (*claims, *elsewhere) if on_models else ()
-    predictions = [found for run in judged if (found := run.settings.column.prediction) is not None]
+    scored_runs = (*claims, *elsewhere) if on_models else ()
+    predictions = [found for run in scored_runs if (found := run.settings.column.prediction) is not None]
     plan = Plan.of([champion, *claims, *elsewhere, *predictions])
     return EvolutionPlan(columns, champion, claims, elsewhere, plan, remarks)
 

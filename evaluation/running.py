@@ -67,11 +67,11 @@ def compare(
     Raises the errors of `plan_comparison`, before any work.
     """
     folder = check_run_folder(out)
-    dataset, asked = data if isinstance(data, Dataset) else None, dict(settings)
+    dataset, given = data if isinstance(data, Dataset) else None, dict(settings)
     if data is not None and not isinstance(data, Dataset):
         listed = [data] if isinstance(data, (str, Path)) else list(data)
-        asked["data"] = tuple(str(Path(path).resolve()) for path in listed)
-    experiment = Experiment.of({name: _storable(value) for name, value in asked.items()})
+        given["data"] = tuple(str(Path(path).resolve()) for path in listed)
+    experiment = Experiment.of({name: _storable(value) for name, value in given.items()})
     for plugin in experiment.plugins:
         load_plugin(plugin)
     comparison, _ = plan_run(experiment, folder, dataset)

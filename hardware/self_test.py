@@ -121,16 +121,16 @@ class NeutralObserver(Listener):
             "moved": float(np.hypot(moved[0], moved[1])),
             "turned": float(moved[2]),
         }
-        still = figures["moved"] <= STILL_DISTANCE and figures["turned"] <= STILL_ANGLE
+        at_rest = figures["moved"] <= STILL_DISTANCE and figures["turned"] <= STILL_ANGLE
         ms = {name: 1e3 * figures[name] for name in ("latency", "longest_latency", "longest_gap", "moved")}
         sentence = (
             f"{figures['rate']:.0f} frames/s of {seen[0].body}, {figures['valid_share']:.1%} of them valid, "
             f"latency {ms['latency']:.1f} ms (at most {ms['longest_latency']:.1f}), "
             f"gaps of at most {ms['longest_gap']:.0f} ms; "
-            f"it {'stays within' if still else 'moves by'} {ms['moved']:.1f} mm and "
+            f"it {'stays within' if at_rest else 'moves by'} {ms['moved']:.1f} mm and "
             f"{np.degrees(figures['turned']):.1f} degrees."
         )
-        return SelfTestFinding("tracker", still and figures["longest_gap"] <= STALE, sentence, figures)
+        return SelfTestFinding("tracker", at_rest and figures["longest_gap"] <= STALE, sentence, figures)
 
     def estimate(self) -> tuple[SelfTestFinding, ...]:
         """Delay of the state: the age of the pose when a control is decided, plus that of the estimator."""

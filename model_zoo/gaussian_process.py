@@ -86,7 +86,7 @@ class GaussianProcess(StochasticModel):
             return self
         self.keep_one_scale(np.ones(self.system.nx))
         cases = [(model, error_windows(unseen, self.n_lags)) for model, unseen in parts]
-        self.keep_one_scale(conformal_scale(cases, rng, still=lambda: counter.advance(0)))
+        self.keep_one_scale(conformal_scale(cases, rng, heartbeat=lambda: counter.advance(0)))
         return self
 
     def learned_arrays(self) -> Mapping[str, Declared]:

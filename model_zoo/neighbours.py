@@ -75,10 +75,10 @@ class NearestNeighbour(DynamicsModel):
         table = serving[cells.index(control)]
         result = np.empty((len(carry), self.accelerations_.shape[1]))
         for number, (tree, rows) in tables.items():
-            asked = np.flatnonzero(table == number)
-            if len(asked):
-                _, nearest = tree.query(query[asked])
-                result[asked] = self.accelerations_[rows][nearest]
+            queried = np.flatnonzero(table == number)
+            if len(queried):
+                _, nearest = tree.query(query[queried])
+                result[queried] = self.accelerations_[rows][nearest]
         return result
 
     def predictor(self) -> Predictor | None:

@@ -85,19 +85,19 @@ def plane_through_neighbours(x, u, p, y, scratch):
     query, square, found = scratch, view(scratch, n), view(scratch, n + count)
     room = view(found, count)
     bound = view(room, 3 * BUCKET)
-    asked = view(bound, (around if around > 0 else groups) * BUCKET)
-    nearness = view(asked, n * QUARTER)
+    queries = view(bound, (around if around > 0 else groups) * BUCKET)
+    nearness = view(queries, n * QUARTER)
     offset = view(nearness, count * QUARTER)
     target = view(offset, count * n * QUARTER)
     work = view(target, count * n_out * QUARTER)
     for first in range(0, LANES, QUARTER):
         for i in range(n_carry):
-            scale(view(x, i * LANES + first), metric[i], view(asked, i * QUARTER))
+            scale(view(x, i * LANES + first), metric[i], view(queries, i * QUARTER))
         for i in range(n_control):
-            scale(view(u, i * LANES + first), metric[n_carry + i], view(asked, (n_carry + i) * QUARTER))
+            scale(view(u, i * LANES + first), metric[n_carry + i], view(queries, (n_carry + i) * QUARTER))
         for lane in range(QUARTER):
             for i in range(n):
-                query[i] = asked[i * QUARTER + lane]
+                query[i] = queries[i * QUARTER + lane]
             if around > 0:
                 nearest_of_many(query, n, boxes, near, outer, groups, around, count, bound, room, square, found)
             else:

@@ -101,10 +101,10 @@ def hold_at_rest(
     These include the ``earlier`` controls in the carry: with dead time, a short pulse acts after it has ended.
     """
     neutral, idle_control = system.neutral_state, system.neutral_control
-    still = (np.abs(carry[..., : system.nx] - neutral) <= band).all(axis=-1)
+    at_rest = (np.abs(carry[..., : system.nx] - neutral) <= band).all(axis=-1)
     past = carry[..., earlier]
     idle = (control == idle_control).all(axis=-1) & (past == np.resize(idle_control, past.shape[-1])).all(axis=-1)
-    return np.where((still & idle)[..., None], neutral, after)
+    return np.where((at_rest & idle)[..., None], neutral, after)
 
 
 def clip_state(carry: Array, state_bounds: Array | None) -> tuple[Array, np.ndarray]:

@@ -91,16 +91,16 @@ Engine: TypeAlias = Literal["auto", "reference", "float32", "float64"]
 ENGINE_VARIABLE = "SYSID_EVO_ENGINE"
 
 
-def resolve(asked: Engine = "auto") -> Engine:
-    """Return ``asked``, or for "auto" the engine in the variable `SYSID_EVO_ENGINE`, if it is set.
+def resolve(requested: Engine = "auto") -> Engine:
+    """Return ``requested``, or for "auto" the engine in the variable `SYSID_EVO_ENGINE`, if it is set.
 
     "auto": compiled where there are kernels, else NumPy. "reference": NumPy in rollouts, imagined trials, parameter
     evolution and the fit of grey boxes. Simulations and sensitivities in the training of state spaces have no NumPy
     form and are always compiled. Raises `InvalidArgument` for other values.
     """
     named = os.environ.get(ENGINE_VARIABLE) or "auto"
-    if asked != "auto" or named == "auto":
-        return asked
+    if requested != "auto" or named == "auto":
+        return requested
     if named != "reference":
         raise InvalidArgument(f"{ENGINE_VARIABLE}: expected auto or reference, got {named!r}. Set one, or unset it")
     return "reference"

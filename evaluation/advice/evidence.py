@@ -73,14 +73,14 @@ class Evidence(Recordings):
     model: DynamicsModel
 
     @property
-    def judged(self) -> Dataset:
+    def evaluated(self) -> Dataset:
         """The test part, or the data used in its place."""
         return self.training if self.test is None else self.test
 
     @cached_property
     def horizon(self) -> int:
         """Main horizon of the report, in steps."""
-        return measured_cases(self.training, self.judged, PredictionProtocol()).main_horizon or 1
+        return measured_cases(self.training, self.evaluated, PredictionProtocol()).main_horizon or 1
 
     @cached_property
     def std(self) -> Array:
@@ -94,13 +94,13 @@ class Evidence(Recordings):
 
     @cached_property
     def _spread(self) -> Array:
-        moving = [e.states[rows] for e, rows in zip(self.judged, self.judged.moving, strict=True)]
+        moving = [e.states[rows] for e, rows in zip(self.evaluated, self.evaluated.moving, strict=True)]
         return spread_of(self.system, np.concatenate(moving))
 
     @cached_property
     def steps(self) -> OneStepErrors:
         """Errors one step ahead."""
-        return step_errors(self.model, self.judged)
+        return step_errors(self.model, self.evaluated)
 
     @cached_property
     def residuals(self) -> Residuals:
@@ -109,7 +109,7 @@ class Evidence(Recordings):
     @cached_property
     def test_windows(self) -> WindowErrors:
         """Errors at the main horizon, on the evaluated data."""
-        return window_errors(self.model, self.judged, self.horizon)
+        return window_errors(self.model, self.evaluated, self.horizon)
 
     @cached_property
     def training_windows(self) -> WindowErrors:

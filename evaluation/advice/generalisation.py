@@ -49,7 +49,7 @@ def overfit(evidence: Evidence) -> Remark | None:
 
 def too_few_data(evidence: Evidence, half: DynamicsModel) -> Remark | None:
     """Return a remark if more data would help: ``half``, fitted to every other block, has a larger error."""
-    whole, fewer = evidence.test_windows, window_errors(half, evidence.judged, evidence.horizon)
+    whole, fewer = evidence.test_windows, window_errors(half, evidence.evaluated, evidence.horizon)
     paired = len(whole.errors) > 0 and np.array_equal(whole.blocks, fewer.blocks)
     if evidence.test is None or not paired:
         return None
@@ -116,16 +116,16 @@ class RecordingErrors:
         inputs = (raw - raw.mean(axis=0)) / np.where(std > 0.0, std, np.inf)
         return cls(inputs, np.concatenate([part.errors for part in parts]) / evidence.std, recordings, blocks, first)
 
-    def correction(self, learned: BoolArray, judged: BoolArray) -> Array:
-        """Return a correction (n, nx) of the rows ``judged``, linear in the inputs, by ridge regression."""
+    def correction(self, learned: BoolArray, evaluated: BoolArray) -> Array:
+        """Return a correction (n, nx) of the rows ``evaluated``, linear in the inputs, by ridge regression."""
         x = np.concatenate([np.ones((int(learned.sum()), 1)), self.inputs[learned]], axis=1)
         weights = np.linalg.solve(x.T @ x + RIDGE * np.eye(x.shape[1]), x.T @ self.errors[learned])
-        there = self.inputs[judged]
+        there = self.inputs[evaluated]
         return np.asarray(np.concatenate([np.ones((len(there), 1)), there], axis=1) @ weights)
 
-    def nearby(self, learned: BoolArray, judged: BoolArray) -> tuple[Array, Array]:
+    def nearby(self, learned: BoolArray, evaluated: BoolArray) -> tuple[Array, Array]:
         """Return the mean error (n, nx) of the nearest windows ``learned``, and how far (n,) the last is."""
-        distances, near = cKDTree(self.inputs[learned]).query(self.inputs[judged], k=NEIGHBOURS)
+        distances, near = cKDTree(self.inputs[learned]).query(self.inputs[evaluated], k=NEIGHBOURS)
         return self.errors[learned][np.asarray(near, dtype=np.int64)].mean(axis=1), np.asarray(distances)[:, -1]
 
 
@@ -164,18 +164,18 @@ def _gain(windows: RecordingErrors, own: BoolArray, recordings: int) -> float | 
 
     ``recordings`` is the number of recordings that are tested.
     """
-    others, learned, judged = ~own & windows.first, own & windows.first, own & ~windows.first
-    if min(others.sum(), learned.sum(), judged.sum()) < FEWEST:
+    others, learned, evaluated = ~own & windows.first, own & windows.first, own & ~windows.first
+    if min(others.sum(), learned.sum(), evaluated.sum()) < FEWEST:
         return None
-    mean, distance = windows.nearby(others, judged)
+    mean, distance = windows.nearby(others, evaluated)
     usual = float(np.quantile(windows.nearby(others, ~own & ~windows.first)[1], 0.9))
     similar = distance <= usual
-    blocks = windows.blocks[judged][similar]
+    blocks = windows.blocks[evaluated][similar]
     if similar.sum() < FEWEST or len(np.unique(blocks)) < FEWEST_BLOCKS:
         return None
-    left = windows.errors[judged]
-    rivals = (np.zeros_like(left), windows.correction(others, judged), mean)
-    corrected = ((left - windows.correction(learned, judged)) ** 2)[similar]
+    left = windows.errors[evaluated]
+    rivals = (np.zeros_like(left), windows.correction(others, evaluated), mean)
+    corrected = ((left - windows.correction(learned, evaluated)) ** 2)[similar]
     best = min((((left - rival) ** 2)[similar] for rival in rivals), key=lambda squares: _size(squares))
     if _size(best) == 0.0:
         return 0.0

@@ -47,17 +47,17 @@ IDLE = 0.3
 
 def standstill(recordings: Recordings) -> Remark | None:
     """Return a remark if the robot is at rest for much of the time, and on episodes in which nothing moves."""
-    idle, episodes, still = recordings.quality.idle, recordings.quality.episodes, 1.0 - recordings.quality.moving
+    idle, episodes, rest_share = recordings.quality.idle, recordings.quality.episodes, 1.0 - recordings.quality.moving
     in_episodes = (
         f"Nothing moves in {len(idle)} of {episodes} episodes: {few(idle)}. Leave them out, and check whether the "
         "robot was switched on and its sensors worked."
     )
     for_long = (
-        f"The robot is at rest {percent(still)} of the time: models learn little from that, and prediction errors "
+        f"The robot is at rest {percent(rest_share)} of the time: models learn little from that, and prediction errors "
         "leave it out."
     )
-    sentence = " ".join([in_episodes] * bool(idle) + [for_long] * (still > IDLE))
-    return Remark("standstill", sentence, RULE_WEIGHT * max(still, len(idle) / episodes)) if sentence else None
+    sentence = " ".join([in_episodes] * bool(idle) + [for_long] * (rest_share > IDLE))
+    return Remark("standstill", sentence, RULE_WEIGHT * max(rest_share, len(idle) / episodes)) if sentence else None
 
 
 RARE, RARE_TOGETHER = 0.02, 0.01

@@ -23,9 +23,9 @@ def missing_excitation(recordings: Recordings) -> Remark | None:
         return None
     return Remark(
         "excitation",
-        f"Controllers spend {percent(gap.asked)} of their time with {gap.words} (training data: {_share(gap.seen)}): "
+        f"Controllers spend {percent(gap.needed)} of their time with {gap.words} (training data: {_share(gap.seen)}): "
         "models extrapolate there. Record more there.",
-        gap.asked,
+        gap.needed,
         gap.figures,
     )
 
@@ -38,9 +38,9 @@ def untried_command(evidence: Evidence) -> Remark | None:
     return Remark(
         "excitation",
         f"{command.words} is rare with {state.words}: {_share(untried.seen)} of the time, compared with "
-        f"{percent(untried.asked)} if every command were used everywhere. Controllers that use it leave the data. "
+        f"{percent(untried.needed)} if every command were used everywhere. Controllers that use it leave the data. "
         "Record more there.",
-        0.5 * untried.asked,
+        0.5 * untried.needed,
         untried.figures,
     )
 
@@ -84,9 +84,9 @@ def other_states(recordings: Recordings) -> Remark | None:
     if gap is not None:
         return Remark(
             "test part",
-            f"{percent(gap.asked)} of the test part has {gap.words} (training part: {_share(gap.seen)}): test errors "
+            f"{percent(gap.needed)} of the test part has {gap.words} (training part: {_share(gap.seen)}): test errors "
             "are those of extrapolation. Hold out other recordings (--test), or record more there.",
-            gap.asked,
+            gap.needed,
             gap.figures,
         )
     gap = None if recordings.visited is None else largest_gap(held_out, recordings.visited)
@@ -94,9 +94,9 @@ def other_states(recordings: Recordings) -> Remark | None:
         return None
     return Remark(
         "test part",
-        f"Controllers spend {percent(gap.asked)} of their time with {gap.words} (test part: {_share(gap.seen)}): test "
+        f"Controllers spend {percent(gap.needed)} of their time with {gap.words} (test part: {_share(gap.seen)}): test "
         "errors do not show how accurate models are there. Hold out recordings that cover it.",
-        0.5 * gap.asked,
+        0.5 * gap.needed,
         gap.figures,
     )
 
@@ -187,7 +187,7 @@ def weak_region(evidence: Evidence) -> Remark | None:
     """Return a remark on the region where the error is clearly larger than elsewhere, see `region_errors`."""
     lags = evidence.model.n_lags
     protocol = PredictionProtocol(first=max(PredictionProtocol.first, lags))
-    cases = measured_cases(evidence.training, evidence.judged, protocol)
+    cases = measured_cases(evidence.training, evidence.evaluated, protocol)
     steps = cases.near_horizon
     if steps is None:
         return None

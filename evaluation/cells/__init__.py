@@ -5,7 +5,7 @@
 | `data.GivenData`, `data.RecordedData` | data | `SplitDataset` | - |
 | `models.Fit`, `models.StoredModelCell` | fit, model | a model | data; - |
 | `models.Predict` | predict | `ModelPrediction` | data, fit |
-| `models.JudgeFit` | judge | `HeldOutScore` | data, fit |
+| `models.ScoreFit` | score | `HeldOutScore` | data, fit |
 | `models.LeaveConditionsOut` | conditions | `ConditionError` of each condition | data, fit |
 | `controllers.Evolve`, `controllers.Baseline` | evolve, baseline | `Champion` | fits |
 | `controllers.Choose`, `controllers.Polish` | select, polish | `Champion` | controllers, fits, predictions |

@@ -130,61 +130,62 @@ class Evolve(CellSettings):
 
 @dataclass(frozen=True)
 class Choose(CellSettings):
-    """Choice among the finalists of all ``contenders`` by their forecasts, see `forecast_judgement`.
+    """Choice among the finalists of all ``searches`` by their forecasts, see `forecast_judgement`.
 
-    ``judges`` are the columns of models; a contender is scored if one of them is of another family than the model it
-    was evolved in. Contenders and judges that failed are left out.
+    ``scoring_models`` are the columns of models; a search is scored if one of them is of another family than the model
+    it was evolved in. Searches and scoring models that failed are left out.
     """
 
-    contenders: tuple[Cell[Evolve], ...]
-    judges: tuple[Plant, ...]
+    searches: tuple[Cell[Evolve], ...]
+    scoring_models: tuple[Plant, ...]
     trials: int
     seed: int
 
     def cell(self) -> Cell[Choose]:
         """Return the cell of the controller."""
-        only = self.contenders[0] if len(self.contenders) == 1 else None
+        only = self.searches[0] if len(self.searches) == 1 else None
         name = f"best of {'+'.join(labels_of(self.members))}" if only is None else only.name
         return Cell(
             kind="select",
             name=name,
             title=f"choose {name}",
             settings=self,
-            needs=(*self.contenders, *(cell for judge in self.judges for cell in judge.needs_with_prediction)),
+            needs=(*self.searches, *(cell for model in self.scoring_models for cell in model.needs_with_prediction)),
             labels={} if only is None else only.labels,
-            expected_seconds=0.1 * len(self.judges),
+            expected_seconds=0.1 * len(self.scoring_models),
         )
 
     @property
     def members(self) -> tuple[Plant, ...]:
-        """Everything that one of the contenders was evolved against."""
-        found = (member for contender in self.contenders for member in contender.settings.members)
+        """Everything that one of the searches was evolved against."""
+        found = (member for search in self.searches for member in search.settings.members)
         return tuple({member.label: member for member in found}.values())
 
     def inputs(self) -> dict[str, Any]:
         return {
-            "contenders": [sorted({member.registered for member in one.settings.members}) for one in self.contenders],
-            "scoring_models": [judge.registered for judge in self.judges],
+            "contenders": [sorted({member.registered for member in one.settings.members}) for one in self.searches],
+            "scoring_models": [model.registered for model in self.scoring_models],
             "rule": [FORECAST_RULE.power, FORECAST_RULE.own],
             "trials": self.trials,
             "seed": self.seed,
         }
 
     def compute(self, work: CellContext) -> Champion:
-        judges = fitted(self.judges, work)
-        judging = runners(judges, work)
-        contenders = []
-        for contender in self.contenders:
-            champion = work.result(contender)
+        scoring_models = fitted(self.scoring_models, work)
+        scoring_runners = runners(scoring_models, work)
+        searches = []
+        for search in self.searches:
+            champion = work.result(search)
             if champion is not None:
-                own = {member.registered for member in contender.settings.members}
-                contenders.append((champion, judging if any(judge.registered not in own for judge in judges) else {}))
-        if not contenders:
-            raise Blocked(blocked_reason(self.contenders[0]))
-        errors = {judge.label: prediction_error(judge, work) for judge in judges}
-        families = {column.label: column.registered for column in (*self.members, *judges)}
+                own = {member.registered for member in search.settings.members}
+                of_other_families = any(model.registered not in own for model in scoring_models)
+                searches.append((champion, scoring_runners if of_other_families else {}))
+        if not searches:
+            raise Blocked(blocked_reason(self.searches[0]))
+        errors = {model.label: prediction_error(model, work) for model in scoring_models}
+        families = {column.label: column.registered for column in (*self.members, *scoring_models)}
         return choose(
-            contenders,
+            searches,
             seed=cell_seed(self.seed, "choose"),
             trials=self.trials,
             judgement=forecast_judgement(errors, families),
@@ -195,7 +196,8 @@ class Choose(CellSettings):
 class Polish(CellSettings):
     """Polish of the best finalists of ``chosen`` against all of ``members`` at once.
 
-    Members that could not be fitted are left out; with ``sift`` also those that predict badly, see `accurate_plants`.
+    Members that could not be fitted are left out; with ``accurate_only`` also those that predict badly, see
+    `accurate_plants`.
     """
 
     chosen: Cell[Choose]
@@ -205,7 +207,7 @@ class Polish(CellSettings):
     starts: int
     seed: int
     label: str = POLISHED
-    sift: bool = False
+    accurate_only: bool = False
     learned: Cell[LearnTask] | None = None
 
     def cell(self) -> Cell[Polish]:
@@ -218,7 +220,7 @@ class Polish(CellSettings):
             settings=self,
             needs=(
                 self.chosen,
-                *(cell for m in self.members for cell in (m.needs_with_prediction if self.sift else m.needs)),
+                *(cell for m in self.members for cell in (m.needs_with_prediction if self.accurate_only else m.needs)),
                 *needed(self.learned),
             ),
             labels={"name": self.label, "against": labels_of(self.members)},
@@ -229,7 +231,7 @@ class Polish(CellSettings):
     def inputs(self) -> dict[str, Any]:
         return {
             "members": [member.inputs() for member in self.members],
-            "accurate": ACCURATE if self.sift else None,
+            "accurate": ACCURATE if self.accurate_only else None,
             **identity_of(self.evolution),
             "generations": self.generations,
             "starts": self.starts,
@@ -244,7 +246,7 @@ class Polish(CellSettings):
         return polish(
             self.label,
             champion,
-            runners(accurate_plants(members, work) if self.sift else members, work),
+            runners(accurate_plants(members, work) if self.accurate_only else members, work),
             with_learned_task(self.evolution, self.learned, work),
             seed=cell_seed(self.seed, "polish"),
             starts=self.starts,
@@ -396,24 +398,24 @@ def controller_cell(
     experiment: Experiment,
     members: tuple[Plant, ...],
     *,
-    judges: tuple[Plant, ...],
+    scoring_models: tuple[Plant, ...],
     label: str | None = None,
-    sift: bool = False,
+    accurate_only: bool = False,
     further: tuple[Cell[Evolve], ...] = (),
     learned: Cell[LearnTask] | None = None,
 ) -> ControllerCell:
     """Return the cell of one controller against all of ``members``, by the procedure of ``experiment``.
 
-    The recommended procedure searches in each member alone, chooses the best by their median on those of ``judges``
-    that are models of other families and predict well, and polishes them on all members at once; with ``sift`` on
-    those that predict well. Such a controller is called ``label``, by default after its members. The finalists of
-    ``further`` evolutions, in several models at once, can be chosen, too. ``learned`` is the cell in which the task
-    learns its reward, if it does.
+    The recommended procedure searches in each member alone, chooses the best by their median on those of
+    ``scoring_models`` that are models of other families and predict well, and polishes them on all members at once;
+    with ``accurate_only`` on those that predict well. Such a controller is called ``label``, by default after its
+    members. The finalists of ``further`` evolutions, in several models at once, can be chosen, too. ``learned`` is the
+    cell in which the task learns its reward, if it does.
     """
     evolution = evolution_on(experiment, members)
     if experiment.budget.procedure == "plain":
         return Evolve(members, evolution, experiment.seed, learned).cell()
-    models = tuple(column for column in judges if column.robot is None)
+    models = tuple(column for column in scoring_models if column.robot is None)
     singles = tuple(
         Evolve((one,), evolution_on(experiment, (one,)), experiment.seed, learned).cell() for one in members
     )
@@ -429,22 +431,24 @@ def controller_cell(
         MOST_POLISHED,
         experiment.seed,
         name,
-        sift,
+        accurate_only,
         learned,
     )
     return polished.cell()
 
 
 def chosen_cell(
-    experiment: Experiment, contenders: tuple[Cell[Evolve], ...], judges: tuple[Plant, ...]
+    experiment: Experiment, searches: tuple[Cell[Evolve], ...], scoring_models: tuple[Plant, ...]
 ) -> ControllerCell:
-    """Return the choice among the finalists of ``contenders``, if there are models of other families to score them.
+    """Return the choice among the finalists of ``searches``, if there are models of other families to score them.
 
     A controller evolved on a robot is scored by that robot.
     """
-    members = [member for cell in contenders for member in cell.settings.members]
+    members = [member for cell in searches for member in cell.settings.members]
     own = {member.registered for member in members}
-    known = all(member.model is None for member in members) or all(judge.registered in own for judge in judges)
-    if len(contenders) == 1 and known:
-        return contenders[0]
-    return Choose(contenders, judges, experiment.selection_trials, experiment.seed).cell()
+    known = all(member.model is None for member in members) or all(
+        scoring_model.registered in own for scoring_model in scoring_models
+    )
+    if len(searches) == 1 and known:
+        return searches[0]
+    return Choose(searches, scoring_models, experiment.selection_trials, experiment.seed).cell()

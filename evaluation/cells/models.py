@@ -132,7 +132,7 @@ class HeldOutScore:
 
 
 @dataclass(frozen=True)
-class JudgeFit(CellSettings):
+class ScoreFit(CellSettings):
     """Prediction error on the test part; without one, of a copy fitted to all but the last quarter.
 
     If a model held data out during its own fit, its error on them is used, and no copy is fitted.
@@ -141,12 +141,12 @@ class JudgeFit(CellSettings):
     fit: Cell[Fit]
     protocol: PredictionProtocol = field(default_factory=PredictionProtocol)
 
-    def cell(self) -> Cell[JudgeFit]:
+    def cell(self) -> Cell[ScoreFit]:
         """Return the cell of the score."""
         name = self.fit.name
         return Cell(
-            kind="judge",
-            name=f"judged-{name}",
+            kind="score",
+            name=f"scored-{name}",
             title=f"score {name}",
             settings=self,
             needs=(self.fit.settings.data, self.fit),
@@ -275,5 +275,5 @@ def _save(value: DynamicsModel, path: Path, cell: Cell[Fit | StoredModelCell]) -
 MODELS = ResultType("models", _save, load_model)
 CELL_KINDS["fit"] = CELL_KINDS["model"] = CellKind(MODELS)
 CELL_KINDS["predict"] = CellKind(result_of(ModelPrediction))
-CELL_KINDS["judge"] = CellKind(result_of(HeldOutScore))
+CELL_KINDS["score"] = CellKind(result_of(HeldOutScore))
 CELL_KINDS["conditions"] = CellKind(result_of(tuple[ConditionError, ...]))

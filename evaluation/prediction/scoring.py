@@ -49,8 +49,8 @@ def assess_prediction(
     if PERSISTENCE in models:
         raise InvalidArgument(f"prediction: a model cannot be called {PERSISTENCE!r}, the name of the reference")
     cases = measured_cases(training, test, protocol or PredictionProtocol())
-    still = Persistence().fit(training, rng=np.random.default_rng(0))
-    rows = [assess_model(PERSISTENCE, still, cases, family=PERSISTENCE)]
+    no_change = Persistence().fit(training, rng=np.random.default_rng(0))
+    rows = [assess_model(PERSISTENCE, no_change, cases, family=PERSISTENCE)]
     families = families or {}
     with reporting(progress, "predict") as report:
         counter = Counter(report, len(models))

@@ -288,7 +288,7 @@ def exploit_sheet(results: StudyResults) -> TableElement | None:
     axes, labels = differing_axes(results, [one.group for one in figures])
     heads = ("model", *axes, "exploited\nin", "claim kept")
     rows = [
-        (one.model, *labels(one.group), f"{one.exploited} of {one.judged}", _spread(one.kept, 2)) for one in figures
+        (one.model, *labels(one.group), f"{one.exploited} of {one.assessed}", _spread(one.kept, 2)) for one in figures
     ]
     note = (
         "exploited in: points in which the claims of its own controllers exceed their fitness on the robot by a tenth "

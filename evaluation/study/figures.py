@@ -170,17 +170,17 @@ def _reference(
     results: StudyResults, keys: Sequence[tuple[tuple[str, ...], str]]
 ) -> tuple[tuple[str, ...], str] | None:
     """Return the row that others are compared with: the one named by the study, else the first polished one."""
-    asked: Mapping[str, str] = results.study.compare_with
+    criteria: Mapping[str, str] = results.study.compare_with
     axes = results.study.group_axes
     fitting = [
         (group, name)
         for group, name in keys
-        if all(asked.get(axis, label) == label for axis, label in zip(axes, group, strict=True))
+        if all(criteria.get(axis, label) == label for axis, label in zip(axes, group, strict=True))
     ]
     kinds = {row.controller: row.kind for row in results.controllers}
     wanted: Callable[[str], bool] = lambda name: kinds.get(name) == "polished"  # noqa: E731
-    if CONTROLLER in asked:
-        fitting = [(group, name) for group, name in fitting if name == asked[CONTROLLER]]
+    if CONTROLLER in criteria:
+        fitting = [(group, name) for group, name in fitting if name == criteria[CONTROLLER]]
         return next(iter(fitting), None)
     polished = [(group, name) for group, name in fitting if wanted(name)]
     return next(iter(polished or [key for key in fitting if key[1] == CHOSEN]), None)
@@ -224,12 +224,12 @@ class PredictionFigures:
 
 @dataclass(frozen=True)
 class ExploitFigures:
-    """One row: in how many of the ``judged`` points a model is ``exploited``, and the share of claims that is kept."""
+    """One row: in how many ``assessed`` points a model is ``exploited``, and the share of claims that is kept."""
 
     group: tuple[str, ...]
     model: str
     exploited: int
-    judged: int
+    assessed: int
     kept: Spread | None
 
 
@@ -275,13 +275,13 @@ def exploit_figures(results: StudyResults) -> tuple[ExploitFigures, ...]:
     """Return a row for each model of each group in which a controller was evolved in it alone."""
     found = []
     for (group, model), own in _grouped(results, lambda point: point.group).items():
-        judged = [row.exploited for _, row in own if row.exploited is not None]
-        if judged:
+        assessed = [row.exploited for _, row in own if row.exploited is not None]
+        if assessed:
             once = {(point.where, point.seed): row for point, row in own}
             kept = _spread(once, lambda row: row.kept)
-            found.append(ExploitFigures(group, model, sum(judged), len(judged), kept))
+            found.append(ExploitFigures(group, model, sum(assessed), len(assessed), kept))
     order = list(dict.fromkeys(one.group for one in found))
-    return tuple(sorted(found, key=lambda one: (order.index(one.group), one.exploited / one.judged)))
+    return tuple(sorted(found, key=lambda one: (order.index(one.group), one.exploited / one.assessed)))
 
 
 def _placed(results: StudyResults) -> list[tuple[PointRow, ModelRow]]:

@@ -193,12 +193,12 @@ def forecast_judgement(
 ) -> FinalistScore:
     """Return the ranking of finalists by their forecasts, from the models' prediction errors and families."""
 
-    def worth(champion: Champion, models: tuple[str, ...], by_model: Array) -> Array:
-        met = {families.get(model, model) for model in champion.against}
-        own = np.array([families.get(model, model) in met for model in models])
+    def score(champion: Champion, models: tuple[str, ...], by_model: Array) -> Array:
+        own_families = {families.get(model, model) for model in champion.against}
+        own = np.array([families.get(model, model) in own_families for model in models])
         return weighted_median(by_model, model_weights([errors.get(model) for model in models], own, rule=rule))
 
-    return worth
+    return score
 
 
 @dataclass(frozen=True)

@@ -221,7 +221,7 @@ class MatrixEstimates:
 
     def summary(self, champion: Champion) -> ControllerSummary:
         """Return the summary of one controller."""
-        robot, judges = self.matrix.robot, other_family_models(champion, self.matrix)
+        robot, scoring_models = self.matrix.robot, other_family_models(champion, self.matrix)
         claimed, others = self.on(champion, champion.against), self.others(champion)
         achieved = None if robot is None else self.on(champion, [robot])
         worst, worst_on = self.worst(champion)
@@ -232,7 +232,7 @@ class MatrixEstimates:
             aggregate=champion.aggregate,
             claimed=estimate_of(claimed),
             other_models=estimate_of(others),
-            other_families=estimate_of(Draws.joined(self.on_each(champion, judges), np.median)),
+            other_families=estimate_of(Draws.joined(self.on_each(champion, scoring_models), np.median)),
             achieved=estimate_of(achieved),
             exploitation_gap=_gap(claimed, others),
             reality_gap=_gap(claimed, achieved),
@@ -240,7 +240,7 @@ class MatrixEstimates:
             worst=estimate_of(worst),
             worst_on=worst_on,
             regret=None if regret is None else regret.estimate.clipped(low=0.0),
-            other_family_models=judges,
+            other_family_models=scoring_models,
             evolved_on_robot=robot is not None and robot in champion.against,
             seed_fitness=tuple(champion.seed_fitness),
             polished=champion.polished,

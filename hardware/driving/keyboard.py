@@ -62,9 +62,9 @@ class Keyboard:
 
     def take_new_trial(self) -> bool:
         """Return whether a new trial was requested since the last call."""
-        asked = self._again.is_set()
+        requested = self._again.is_set()
         self._again.clear()
-        return asked
+        return requested
 
 
 class LateMessageFilter:

@@ -111,5 +111,5 @@ def car_step_lanes(u, v, r, motor, sag, battery, slack, steering, force_noise, y
     loss = rolling_loss + (static_loss - rolling_loss) * creep
     u = max(u + (change - loss), 0.0) + min(u + (change + loss), 0.0)
     turning = where_less(REST_YAW_RATE, abs(r), 1.0, where_less(REST_SPEED, abs(v), 1.0, 0.0))
-    going = where_less(0.0, abs(u), 1.0, turning)
-    return u, v * going, r * going, motor, sag, slack, steering
+    moving = where_less(0.0, abs(u), 1.0, turning)
+    return u, v * moving, r * moving, motor, sag, slack, steering

@@ -108,10 +108,10 @@ def simulator_findings(
     ranges = [f"{c.name} {spelled_range(a, b)}" for c, a, b in zip(system.states, low, high, strict=True)]
     over = lengths[:-1]
     episodes = f"{len(over)} episodes ended, after {min(over)} to {max(over)} steps" if over else "No episode ended"
-    worth = f"rewards from {min(rewards):.3g} to {max(rewards):.3g} a step" if rewards else "no step was taken"
+    reward_range = f"rewards from {min(rewards):.3g} to {max(rewards):.3g} a step" if rewards else "no step was taken"
     return (
         SelfTestFinding("system", True, sentence, {"dt": system.dt}),
         SelfTestFinding("states", bool(np.isfinite(seen).all()), f"Under random controls: {', '.join(ranges)}."),
-        SelfTestFinding("episodes", True, f"{episodes}, in {len(rewards)} steps; {worth}."),
+        SelfTestFinding("episodes", True, f"{episodes}, in {len(rewards)} steps; {reward_range}."),
         SelfTestFinding("speed", True, f"{len(rewards) / took:.0f} steps a second.", {"seconds": took}),
     )

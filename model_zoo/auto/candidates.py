@@ -28,7 +28,7 @@ class Candidate:
     """A family with its settings.
 
     ``seconds`` is the time of a fit on one processor to `STEPS` steps of a car. The share ``by_steps`` of it is
-    proportional to the number of steps, ``by_channels`` to that of states and controls. ``judged_with`` are the
+    proportional to the number of steps, ``by_channels`` to that of states and controls. ``selection_settings`` are the
     settings of the fits to folds. A ``successor_of`` another candidate, given by name, is the same with more training;
     it is tried only if the other is good. ``keep_fold_models``: keep the models fitted without each fold and average
     them with the one fitted to all data, unless one is much worse; they differ most where data are few (Krogh and
@@ -38,7 +38,7 @@ class Candidate:
     spec: Spec
     seconds: float = PLUGIN_SECONDS
     by_steps: float = 1.0
-    judged_with: dict[str, Any] = field(default_factory=dict)
+    selection_settings: dict[str, Any] = field(default_factory=dict)
     successor_of: str = ""
     keep_fold_models: bool = False
     by_channels: float = 0.3
@@ -58,7 +58,7 @@ class Candidate:
         """Return the expected time in s on one processor of a fit to this many steps."""
         size = 1.0 - self.by_channels + self.by_channels * (system.nx + system.nu) / NUMBERS
         most = self.spec.parameters.get("members", 1)
-        members = self.judged_with.get("members", most) if rough else most
+        members = self.selection_settings.get("members", most) if rough else most
         share = FIXED_TIME_SHARE + (1.0 - FIXED_TIME_SHARE) * members / most
         return self.seconds * share * size * (1.0 - self.by_steps + self.by_steps * steps / STEPS)
 
@@ -76,7 +76,7 @@ def _shipped() -> tuple[Candidate, ...]:
         spec = Spec.parse(row.pop("model"))
         settings = {**spec.parameters, **table["settings"].get(spec.name, {})}
         whole = Spec(spec.name, settings, row.pop("name", spec.text))
-        found.append(Candidate(whole, judged_with=table["judged_with"].get(spec.name, {}), **row))
+        found.append(Candidate(whole, selection_settings=table["selection_settings"].get(spec.name, {}), **row))
     return tuple(found)
 
 

@@ -86,12 +86,12 @@ class Auto(MeanModel):
             raise IncompatibleSystem(f"auto: expected a candidate for this system, got none: {'; '.join(left_out)}")
         horizons = horizons_of(pairs, self.horizons or HORIZONS)
         history = history_of(pairs, horizons)
-        judge = Scorer.of(dataset, [HeldOutTest.of(held, horizons, history) for _, held in pairs])
+        scorer = Scorer.of(dataset, [HeldOutTest.of(held, horizons, history) for _, held in pairs])
         seeds = rng.integers(2**32, size=(len(tried), len(pairs) + 1))
         budget = PROCESSORS * SHARE * self.budget if self.candidates is None else math.inf
         costs = sum(one.cost(dataset.system, dataset.n_steps, len(pairs)) for one in tried)
         work = FitWork(progress, min(budget, costs))
-        choice = CandidateSelection(dataset, pairs, judge, tried, seeds, budget, work).choice(self.cutoff, self._mean)
+        choice = CandidateSelection(dataset, pairs, scorer, tried, seeds, budget, work).choice(self.cutoff, self._mean)
         shares = weights_of([structure_of(own[0]) for own in choice.models])
         each = [np.full(len(own), share / len(own)) for own, share in zip(choice.models, shares, strict=True)]
         self.become([model for own in choice.models for model in own], np.concatenate(each))

@@ -60,7 +60,7 @@ class CandidateSelection:
 
     dataset: Dataset
     pairs: Sequence[tuple[Dataset, Dataset]]
-    judge: Scorer
+    scorer: Scorer
     candidates: Sequence[Candidate]
     seeds: IntArray
     budget: float
@@ -73,7 +73,7 @@ class CandidateSelection:
         remaining = [number for number, reason in enumerate(reasons) if not reason]
         outcomes |= self._fits(remaining, folds[1:])
         rough = {number: [outcomes[number, fold] for fold in folds] for number in remaining}
-        for number, error, reason in zip(remaining, *judged(list(rough.values()), self.judge), strict=True):
+        for number, error, reason in zip(remaining, *fold_errors(list(rough.values()), self.scorer), strict=True):
             errors[number], reasons[number] = error, reason
         usable = {n: error for n, error in enumerate(errors) if error is not None and not reasons[n]}
         for better, number in self._refined.items():
@@ -89,7 +89,7 @@ class CandidateSelection:
             self.work.report_alive()
             fold_models = [[models(numbers[i])[fold] for i in group] for fold in folds]
             means = [mean(parts) for parts in fold_models]
-            return self.judge.errors([t.run(one) for t, one in zip(self.judge.trials, means, strict=True)]).mean
+            return self.scorer.errors([t.run(one) for t, one in zip(self.scorer.trials, means, strict=True)]).mean
 
         numbers = list(usable)
         best = min(usable.values(), key=lambda error: error.mean)
@@ -117,7 +117,7 @@ class CandidateSelection:
         The first was fitted to all folds and each of the others to all but one, so hard folds affect all equally.
         """
         self.work.report_alive()
-        errors = [self.judge.errors([trial.run(one) for trial in self.judge.trials]).mean for one in models]
+        errors = [self.scorer.errors([trial.run(one) for trial in self.scorer.trials]).mean for one in models]
         return [models[0], *(models[i] for i in inside(errors, cutoff) if i > 0)]
 
     def _first_fold(self, cutoff: float) -> tuple[dict[tuple[int, int], FitOutcome], list[Errors | None], list[str]]:
@@ -164,7 +164,7 @@ class CandidateSelection:
 
         It is dropped if its error is above ``cutoff`` times the lowest and significantly so (paired bootstrap).
         """
-        errors, reasons = judged([[one] for one in outcomes], replace(self.judge, trials=self.judge.trials[:1]))
+        errors, reasons = fold_errors([[one] for one in outcomes], replace(self.scorer, trials=self.scorer.trials[:1]))
         usable = [error for error, reason in zip(errors, reasons, strict=True) if error is not None and not reason]
         best = min(usable, key=lambda error: error.mean, default=None)
         for number, error in enumerate(errors):
@@ -177,16 +177,16 @@ class CandidateSelection:
 
     def _task(self, number: int, fold: int) -> FitTask:
         """Return the fit of one candidate without one fold, or to all data after the last of them."""
-        one, judging = self.candidates[number], fold < len(self.pairs)
-        part = self.pairs[fold][0] if judging else self.dataset
+        one, selecting = self.candidates[number], fold < len(self.pairs)
+        part = self.pairs[fold][0] if selecting else self.dataset
         return FitTask(
             (number, fold),
             one.spec.name,
-            {**one.spec.parameters, **(one.judged_with if judging else {})},
+            {**one.spec.parameters, **(one.selection_settings if selecting else {})},
             part,
             int(self.seeds[number, fold]),
-            one.seconds_for(part.system, part.n_steps, rough=judging),
-            self.judge.trials[fold] if judging else None,
+            one.seconds_for(part.system, part.n_steps, rough=selecting),
+            self.scorer.trials[fold] if selecting else None,
         )
 
     def _expect(self, found: bool, reasons: Sequence[str]) -> None:
@@ -198,7 +198,7 @@ class CandidateSelection:
             )
 
 
-def judged(rough: Sequence[Sequence[FitOutcome]], judge: Scorer) -> tuple[list[Errors | None], list[str]]:
+def fold_errors(rough: Sequence[Sequence[FitOutcome]], scorer: Scorer) -> tuple[list[Errors | None], list[str]]:
     """Return the errors of every candidate (None if a fit failed), and why it cannot be used (empty if it can).
 
     If all diverge, those that could be simulated are used.
@@ -208,7 +208,7 @@ def judged(rough: Sequence[Sequence[FitOutcome]], judge: Scorer) -> tuple[list[E
     for folds in rough:
         reason = next((outcome.reason for outcome in folds if outcome.simulated is None), "")
         runs = [outcome.simulated for outcome in folds if outcome.simulated is not None]
-        found = None if reason else judge.errors(runs)
+        found = None if reason else scorer.errors(runs)
         share = max(outcome.diverged for outcome in folds)
         if found is not None and not np.isfinite(found.mean):
             found, reason = None, "its simulations are not finite"

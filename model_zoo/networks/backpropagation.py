@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from model_zoo.networks.network import Array32, Layers, Network, random_network
-from model_zoo.networks.training import ResumableTrainings, TrainingSchedule, TrainingWindows, judged, train
+from model_zoo.networks.training import ResumableTrainings, TrainingSchedule, TrainingWindows, train, validation_errors
 from model_zoo.scaling import ChannelScaling, Mirror
 from sysid_evo.angles import TURN
 from sysid_evo.carry import CarryLayout
@@ -146,8 +146,8 @@ class DifferentiableSimulation(ABC):
             windows = error_windows(part, history)
             held.append(TrainingWindows.at(part, windows.episode, windows.start, windows.states.shape[1]))
 
-        def judge(parameters: Array32) -> Array:
-            return judged(self, parameters, held, self.standard.state_scale)
+        def validate(parameters: Array32) -> Array:
+            return validation_errors(self, parameters, held, self.standard.state_scale)
 
         learned = train(
             self,
@@ -156,9 +156,9 @@ class DifferentiableSimulation(ABC):
             state_scale=self.standard.state_scale,
             change_scale=self.standard.change,
             trainings=trainings,
-            judge=judge,
+            validate=validate,
         )
-        return learned, judge(learned)
+        return learned, validate(learned)
 
     def network(self, parameters: Array32) -> Network:
         """Return ``parameters`` (M, P) as networks of features of (carry, control), with the ``further`` input at 1."""

@@ -190,7 +190,7 @@ class MlpEnsemble(StochasticModel):
         other.weights_, other.biases_ = list(network.weights), list(network.biases)
         return other
 
-    def _calibrate(self, dataset: Dataset, rng: np.random.Generator, still: Callable[[], None]) -> None:
+    def _calibrate(self, dataset: Dataset, rng: np.random.Generator, heartbeat: Callable[[], None]) -> None:
         """Set the one-step residual (nx,) and the scale of the noise (nx,) from errors on held-out blocks.
 
         The reference for the intervals is the simulation of the whole ensemble plus the error of each member on its
@@ -199,7 +199,7 @@ class MlpEnsemble(StochasticModel):
         parts, residuals = [], []
         together = self._deterministic(self.network)
         for member in range(self.members):
-            still()
+            heartbeat()
             windows = error_windows(time_fold(dataset, member, self.folds)[1], self.n_lags, stride=10)
             single = self._of_member(member)
             history = windows.past_states, windows.past_controls, windows.controls
@@ -207,10 +207,10 @@ class MlpEnsemble(StochasticModel):
             residuals.append(error[:, 0])
             parts.append(replace(windows, states=together.simulate(*history) + error))
         self.residual_ = np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0))
-        self.keep_one_scale(conformal_scale([(self, part) for part in parts], rng, still=still))
+        self.keep_one_scale(conformal_scale([(self, part) for part in parts], rng, heartbeat=heartbeat))
 
     def _calibrate_horizons(
-        self, dataset: Dataset, growth: Array | None, rng: np.random.Generator, still: Callable[[], None]
+        self, dataset: Dataset, growth: Array | None, rng: np.random.Generator, heartbeat: Callable[[], None]
     ) -> None:
         """Learn the spread of `StochasticModel` from the errors of each member on its held-out blocks.
 
@@ -224,7 +224,7 @@ class MlpEnsemble(StochasticModel):
         cases, residuals, numbers = [], [], []
         together = self._deterministic(self.network)
         for member, part in enumerate(held):
-            still()
+            heartbeat()
             single = self._of_member(member)
             case = Case.of(self, part, horizon, MAX_WINDOWS // self.members)
             history = case.windows.past_states, case.windows.past_controls, case.windows.controls
@@ -238,7 +238,7 @@ class MlpEnsemble(StochasticModel):
         persistent = persistent_share(pooled, np.concatenate(numbers))
         residual = np.sqrt(np.mean(pooled**2, axis=0))
         self.keep_spread(residual, persistent, np.ones_like(factors))
-        self.keep_spread(residual, persistent, horizon_scales(cases, persistent, rng, still=still))
+        self.keep_spread(residual, persistent, horizon_scales(cases, persistent, rng, heartbeat=heartbeat))
 
 
 class DifferenceNetworks(DifferentiableSimulation):

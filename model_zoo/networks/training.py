@@ -150,13 +150,13 @@ def train(
     state_scale: Array,
     change_scale: Array,
     trainings: ResumableTrainings,
-    judge: Callable[[Array32], Array] | None = None,
+    validate: Callable[[Array32], Array] | None = None,
 ) -> Array32:
     """Train ``model`` on one set of ``windows`` for each member and return its averaged parameters (M, P).
 
-    ``judge`` gives the validation error (M,) of parameters; each member then keeps its best ones. ``state_scale`` and
-    ``change_scale`` (nx,) are the units of errors and noise. ``trainings`` resumes a training that was interrupted and
-    returns the result of one that had finished.
+    ``validate`` gives the validation error (M,) of parameters; each member then keeps its best ones. ``state_scale``
+    and ``change_scale`` (nx,) are the units of errors and noise. ``trainings`` resumes a training that was interrupted
+    and returns the result of one that had finished.
     """
     done = trainings.ended()
     if done is not None:
@@ -184,13 +184,13 @@ def train(
         state.descend(model.gradient(off) + 2.0 * plan.weight_decay * model.parameters, rate)
         state.average(min(plan.averaging, (update + 1) / (update + 10)))
         last = update + 1 == plan.total
-        if judge is not None and (last or (update + 1) % plan.check_every == 0):
-            state.keep(judge(state.mean))
+        if validate is not None and (last or (update + 1) % plan.check_every == 0):
+            state.keep(validate(state.mean))
         if last or update % REPORT_EVERY == 0:
             trainings.reached(update + 1, state)
             trainings.report(update + 1 - reported)
             reported = update + 1
-    found = state.mean if judge is None else state.best
+    found = state.mean if validate is None else state.best
     trainings.end(found)
     return found
 
@@ -201,7 +201,7 @@ def step_weights(error: Array32) -> Array32:
     return np.asarray(weight / weight.sum())
 
 
-def judged(
+def validation_errors(
     model: TrainableSimulation, parameters: Array32, held: Sequence[TrainingWindows], state_scale: Array
 ) -> Array:
     """Return the simulation error (M,) of each member over its own windows: RMSE / scale, averaged over all.
@@ -329,8 +329,8 @@ class ResumableTrainings:
     @classmethod
     def of(cls, model: DynamicsModel, dataset: Dataset, rng: np.random.Generator, report: Report | None) -> Self:
         """Return the trainings of a fit of ``model``, with its checkpoint if one is set."""
-        asked = [type(model).__qualname__, repr(model.get_params(deep=False)), dataset.fingerprint, _text(rng)]
-        identity = hashlib.sha256(json.dumps([*asked, np.__version__]).encode()).hexdigest()
+        settings = [type(model).__qualname__, repr(model.get_params(deep=False)), dataset.fingerprint, _text(rng)]
+        identity = hashlib.sha256(json.dumps([*settings, np.__version__]).encode()).hexdigest()
         return cls(rng, report=report, checkpoint=model.checkpoint, identity=identity)
 
     def __enter__(self) -> Self:

@@ -109,11 +109,11 @@ class SparsePolynomial(PolynomialModel):
             bounds(self.constraints, exponents, self.features_of(system, (most, many)).names, system.state_names)
 
     def features_of(self, system: System, lags: tuple[int, int]) -> Features:
-        asked = tuple(self.functions or ())
-        features = Features(system, lags, asked, self.offsets)
+        requested = tuple(self.functions or ())
+        features = Features(system, lags, requested, self.offsets)
         if self.library is None:
             return features
-        return replace(features, functions=(*asked, *basis_of(self.library, features).functions))
+        return replace(features, functions=(*requested, *basis_of(self.library, features).functions))
 
     @property
     def features(self) -> Features:
@@ -170,9 +170,9 @@ class SparsePolynomial(PolynomialModel):
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         settings = self._settings(dataset)
         counter = Counter(progress, count_fits(settings) * FOLDS + 1)
-        judged = self._judged(dataset, settings, counter) if len(settings) > 1 else {}
+        scores = self._held_out_scores(dataset, settings, counter) if len(settings) > 1 else {}
         degree, threshold, lags = best_candidate(
-            settings, lambda setting: judged[setting][0], size=lambda setting: judged[setting][1]
+            settings, lambda setting: scores[setting][0], size=lambda setting: scores[setting][1]
         )
         self.record_lags(lags)
         if self.library is None:
@@ -187,7 +187,7 @@ class SparsePolynomial(PolynomialModel):
         self.calibrate(dataset, rng, lambda: counter.advance(0))
         return self
 
-    def _judged(
+    def _held_out_scores(
         self, dataset: Dataset, settings: Sequence[Setting], counter: Counter
     ) -> dict[Setting, tuple[float, int]]:
         """Return the error on held-out blocks and the size of the model of each setting.

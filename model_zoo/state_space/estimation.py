@@ -133,7 +133,7 @@ class EstimationProblem:
         runs, outputs = self.states(trained, self.long), self.long.rows(self.long.outputs)
         return [observer(trained.spaces[[s]], runs[s], outputs, self.parts) for s in range(len(runs))]
 
-    def judged(self, trained: Trained) -> tuple[list[StateObserver], Array]:
+    def assessed(self, trained: Trained) -> tuple[list[StateObserver], Array]:
         """Return the observers of a training on long simulations, and the errors (S,) of simulations with them."""
         found = self.observers(trained)
         return found, np.array([self.from_history(trained.spaces[[s]], own) for s, own in enumerate(found)])

@@ -124,8 +124,8 @@ class StateSpaceModel(DynamicsModel):
         if not self.dead_band:
             return following
         rest, band = self._rest
-        still = (np.abs(carry - rest) <= band).all(axis=1) & (control == system.neutral_control).all(axis=1)
-        return np.where(still[:, None], rest, following)
+        at_rest = (np.abs(carry - rest) <= band).all(axis=1) & (control == system.neutral_control).all(axis=1)
+        return np.where(at_rest[:, None], rest, following)
 
     def kernel(self) -> DynamicsKernel | None:
         return self._observing_kernel

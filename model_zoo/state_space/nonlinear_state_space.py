@@ -149,7 +149,7 @@ class NetworkStateSpace(StateSpaceModel):
             spaces = widened(trained.spaces, mixtures, self.hidden, rng)
             wider = train(spaces, problem.long, trained.starts, 2 * self.screening_iterations, counter.advance)
             both = joined(replace(trained, spaces=padded(trained.spaces, self.hidden)), wider)
-            found = criterion(problem.judged(both)[1], both.spaces, problem)
+            found = criterion(problem.assessed(both)[1], both.spaces, problem)
             if found[len(mixtures) :].min() >= found[: len(mixtures)].min():
                 counter.advance(2 * self.screening_iterations * (left - 1))
                 break
@@ -191,9 +191,9 @@ class NetworkStateSpace(StateSpaceModel):
 
     def _mean_of(self, problem: EstimationProblem, trained: Trained, linear: list[Trained]) -> None:
         """Become the mean of the networks, or the best linear space if its criterion is lower than all of theirs."""
-        observers, found = problem.judged(trained)
+        observers, found = problem.assessed(trained)
         found = criterion(found, trained.spaces, problem)
-        plain = [(own, *problem.judged(own)) for own in linear]
+        plain = [(own, *problem.assessed(own)) for own in linear]
         scores = [float(criterion(errors, own.spaces, problem)[0]) for own, _, errors in plain]
         self.linear_order_ = 0
         if min(scores) <= found.min():
@@ -303,7 +303,7 @@ def best_networks(trained: Trained, problem: EstimationProblem, count: int) -> T
 def from_history(trained: Trained, problem: EstimationProblem) -> float:
     """Return the lowest criterion of networks on long simulations that start from the observer's estimate."""
     long = trained if trained.starts.shape[1] == len(problem.long) else problem.at_length(trained)
-    return float(criterion(problem.judged(long)[1], trained.spaces, problem).min())
+    return float(criterion(problem.assessed(long)[1], trained.spaces, problem).min())
 
 
 def criterion(errors: Array, spaces: StateSpaceBatch, problem: EstimationProblem) -> Array:

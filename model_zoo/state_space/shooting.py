@@ -206,8 +206,8 @@ class _Objective:
     def scale(self, residuals: Array) -> Array:
         """Return the weight of a squared residual, (S,): smaller if residuals are correlated."""
         power = (residuals**2).sum(axis=(1, 2, 3))
-        alike = (residuals[:, :, 1:] * residuals[:, :, :-1]).sum(axis=(1, 2, 3)) / np.maximum(power, 1e-300)
-        memory = np.clip((1.0 + alike) / np.maximum(1.0 - alike, 1e-3), 1.0, MAX_MEMORY)
+        autocorrelation = (residuals[:, :, 1:] * residuals[:, :, :-1]).sum(axis=(1, 2, 3)) / np.maximum(power, 1e-300)
+        memory = np.clip((1.0 + autocorrelation) / np.maximum(1.0 - autocorrelation, 1e-3), 1.0, MAX_MEMORY)
         return np.asarray(1.0 / (np.maximum(self.error(residuals), 1e-12) * memory))
 
     def value(self, residuals: Array, scale: Array, flat: Array, starts: Array) -> Array:
@@ -230,14 +230,14 @@ def train(
     ``report`` is called after each iteration, always ``iterations`` times.
     """
     objective, ny = _Objective(windows, spaces.prior), windows.outputs.shape[2]
-    damping, going = np.full(len(spaces), 1e-2), np.ones(len(spaces), dtype=bool)
+    damping, improving = np.full(len(spaces), 1e-2), np.ones(len(spaces), dtype=bool)
     starts = starts.copy()
     for _ in range(iterations):
-        rows = np.flatnonzero(going).astype(np.int64)
+        rows = np.flatnonzero(improving).astype(np.int64)
         if len(rows):
             own = spaces[rows]
             flat = spaces.flat
-            flat[rows], starts[rows], damping[rows], going[rows] = _improve(
+            flat[rows], starts[rows], damping[rows], improving[rows] = _improve(
                 own, starts[rows], damping[rows], objective, ny
             )
             spaces = spaces.with_flat(flat)
@@ -269,7 +269,7 @@ def _improve(
         _Normal.of(*own, objective.prior, flat[member], starts[member])
         for member, own in enumerate(zip(tangents, residuals, scale, strict=True))
     ]
-    left, going = np.ones(len(spaces), dtype=bool), np.ones(len(spaces), dtype=bool)
+    left, improving = np.ones(len(spaces), dtype=bool), np.ones(len(spaces), dtype=bool)
     for _ in range(MAX_DAMPINGS):
         rows = np.flatnonzero(left).astype(np.int64)
         if not len(rows):
@@ -283,12 +283,12 @@ def _improve(
         for i, s in enumerate(rows):
             if tried[i] < value[s]:
                 flat[s], starts[s] = new_flat[i], new_starts[i]
-                going[s] = value[s] - tried[i] > MIN_IMPROVEMENT * value[s] or damping[s] > MAX_FINAL_DAMPING
+                improving[s] = value[s] - tried[i] > MIN_IMPROVEMENT * value[s] or damping[s] > MAX_FINAL_DAMPING
                 damping[s] *= DAMPING_DECREASE
                 left[s] = False
             else:
                 damping[s] *= DAMPING_INCREASE
-    return flat, starts, damping, going & (damping < STIFFEST)
+    return flat, starts, damping, improving & (damping < STIFFEST)
 
 
 @dataclass(frozen=True)

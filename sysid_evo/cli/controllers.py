@@ -176,7 +176,7 @@ def transfer(
     session.run = None if run is None else sysid_evo.plan.Store(run)
     systems = evaluation.transfer_targets(listed("--on", on) or (), run)
     robots = [place.column.robot for place in systems]
-    drivers = evaluation.contenders(controllers, systems[0].system, task, robots=robots)
+    drivers = evaluation.stored_controllers(controllers, systems[0].system, task, robots=robots)
     evaluation.check_fit(drivers, systems)
     title = f"run {len(drivers)} controllers on {len(systems)} systems"
     with PlanProgress() as bars:

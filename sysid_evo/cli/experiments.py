@@ -51,10 +51,10 @@ def compare(
     named = () if config is None else load_named_plugins(stored.get("plugins", ()), config)
     if "preset" in settings and stored:
         stored = evaluation.unsettled(stored)
-    asked = settings | {"plugins": tuple(dict.fromkeys((*named, *settings.get("plugins", ()))))}
-    refuse_meaningless(MEANINGLESS, asked, {**stored, **asked}, as_option)
+    given = settings | {"plugins": tuple(dict.fromkeys((*named, *settings.get("plugins", ()))))}
+    refuse_meaningless(MEANINGLESS, given, {**stored, **given}, as_option)
     experiment = Experiment.of(
-        meaningful(stored, asked), lambda name: as_option(name) if name in asked else f"{config}: {name}"
+        meaningful(stored, given), lambda name: as_option(name) if name in given else f"{config}: {name}"
     )
     run_experiment(
         experiment, folder, jobs=jobs, scheduler=scheduler, dry_run=dry_run, as_json=as_json, verbose=verbose
@@ -187,7 +187,7 @@ def print_fits(
     advice = store.outcome(comparison.advice).value
     rows: list[dict[str, Any]] = []
     for label, cell in comparison.fits.items():
-        outcome, score = outcomes[cell.digest], store.outcome(comparison.judged[label]).value
+        outcome, score = outcomes[cell.digest], store.outcome(comparison.held_out_scores[label]).value
         rows.append({
             "model": label, "error": None if score is None else score.n,
             "steps": None if score is None else score.steps,
@@ -204,7 +204,7 @@ def print_fits(
         where = str(row["file"] or f"failed: {row['reason']}")
         table.add_row(str(row["model"]), evaluation.three_digits(row["error"]), str(row["seconds"]), where)
     out.print(table)
-    print_judged(comparison, store)
+    print_held_out_scores(comparison, store)
     for row in rows:
         if row["note"]:
             out.print(Text(f"{row['model']} {row['note']}"))
@@ -216,9 +216,9 @@ def print_fits(
         print_status(f"evolve controllers on them with: {command}")
 
 
-def print_judged(comparison: evaluation.Comparison, store: sysid_evo.plan.Store) -> None:
+def print_held_out_scores(comparison: evaluation.Comparison, store: sysid_evo.plan.Store) -> None:
     """Print the data on which the errors were measured, and whether they suffice to compare models."""
-    found = {label: score for label, cell in comparison.judged.items() if (score := store.outcome(cell).value)}
+    found = {label: score for label, cell in comparison.held_out_scores.items() if (score := store.outcome(cell).value)}
     grouped: dict[tuple[int | None, str], list[str]] = {}
     for label, score in found.items():
         grouped.setdefault((score.steps, score.evaluated_on), []).append(label)

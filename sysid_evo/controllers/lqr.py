@@ -172,8 +172,8 @@ class LinearModel:
         nx = len(self.a)
         wanted = np.zeros((len(led), nx + self.b.shape[1]))
         wanted[np.arange(len(led)), led] = 1.0
-        still = np.concatenate([np.eye(nx) - self.a, -self.b], axis=1)
-        found = np.linalg.lstsq(np.concatenate([still, wanted]), np.concatenate([self.c, target]), rcond=None)[0]
+        steady = np.concatenate([np.eye(nx) - self.a, -self.b], axis=1)
+        found = np.linalg.lstsq(np.concatenate([steady, wanted]), np.concatenate([self.c, target]), rcond=None)[0]
         return found[:nx], found[nx:]
 
 

@@ -329,8 +329,8 @@ class Dataset(Displayed):
             raise InvalidArgument(
                 f"split: no episode is called {', '.join(map(repr, unknown))}.{meant} There are {', '.join(self.names)}"
             )
-        asked = set(test)
-        chosen = [any(name in asked for name in of_episode) for of_episode in owners]
+        requested = set(test)
+        chosen = [any(name in requested for name in of_episode) for of_episode in owners]
         if all(chosen) or not any(chosen):
             raise InvalidArgument("split: training and test set need an episode each; name some episodes, not all")
         return (
@@ -568,7 +568,7 @@ def warnings_about(dataset: Dataset) -> Iterator[str]:
         yield "learns nothing: no state changes in the recording, so an error of 0 is meaningless"
 
 
-def as_dataset(given: object, asked_by: str, *, of: System | None = None) -> Dataset:
+def as_dataset(given: object, caller: str, *, of: System | None = None) -> Dataset:
     """Return ``given`` as one data set; a list is joined. Raises `InvalidData` that shows the correct call.
 
     With ``of`` it must have that system's channels, else `IncompatibleSystem`.
@@ -577,12 +577,12 @@ def as_dataset(given: object, asked_by: str, *, of: System | None = None) -> Dat
         here = given.system
         if of is not None and (here.state_names, here.control_names) != (of.state_names, of.control_names):
             names = [", ".join((*one.state_names, *one.control_names)) for one in (of, here)]
-            raise IncompatibleSystem(f"{asked_by}: the model has the channels {names[0]}, the data have {names[1]}")
+            raise IncompatibleSystem(f"{caller}: the model has the channels {names[0]}, the data have {names[1]}")
         return given
     parts = list(given) if isinstance(given, (list, tuple)) else []
     if parts and all(isinstance(part, Dataset) for part in parts):
         if any(part.system != parts[0].system for part in parts):
-            raise InvalidData(f"{asked_by}: expected data sets of one system, got several systems")
+            raise InvalidData(f"{caller}: expected data sets of one system, got several systems")
         return parts[0].with_episodes([episode for part in parts for episode in part])
     if isinstance(given, Trajectory) or any(isinstance(part, Trajectory) for part in parts):
         hint = "make a data set from episodes with Dataset(system, episodes)"
@@ -590,4 +590,4 @@ def as_dataset(given: object, asked_by: str, *, of: System | None = None) -> Dat
         hint = "make one from a table with Dataset.from_pandas(system, table)"
     else:
         hint = "make one from arrays with Dataset.from_arrays(system, states, controls), or use fit(x, t=dt, u=u)"
-    raise InvalidData(f"{asked_by}: expected a Dataset, got a {type(given).__name__}: {hint}")
+    raise InvalidData(f"{caller}: expected a Dataset, got a {type(given).__name__}: {hint}")

@@ -162,12 +162,12 @@ def _idle(dataset: Dataset) -> tuple[str, ...]:
     """Return the names of the episodes without motion."""
     lowest = np.min([episode.states.min(axis=0) for episode in dataset], axis=0)
     highest = np.max([episode.states.max(axis=0) for episode in dataset], axis=0)
-    still = REST_RANGE_SHARE * (highest - lowest)
+    rest_range = REST_RANGE_SHARE * (highest - lowest)
     return tuple(
         episode.name
         for episode, moving in zip(dataset, dataset.moving, strict=True)
         if len(episode) >= FEWEST
-        and (moving.mean() < MIN_MOVING_SHARE or (np.ptp(episode.states, axis=0) <= still).all())
+        and (moving.mean() < MIN_MOVING_SHARE or (np.ptp(episode.states, axis=0) <= rest_range).all())
     )
 
 

@@ -142,10 +142,10 @@ def _correlation(commands: list[Array], responses: list[Array], lag: int) -> flo
 def _first_peak(curve: Array, clear: float) -> int:
     """Return the index of the first peak that is clear and half as high as the highest; else of the highest."""
     size = np.abs(curve)
-    worth = np.flatnonzero(size >= max(clear, FIRST * size.max()))
-    if not len(worth):
+    peaks = np.flatnonzero(size >= max(clear, FIRST * size.max()))
+    if not len(peaks):
         return int(size.argmax())
-    peak = int(worth[0])
+    peak = int(peaks[0])
     while peak + 1 < len(curve) and size[peak + 1] > size[peak] and curve[peak + 1] * curve[peak] > 0.0:
         peak += 1
     return peak

@@ -42,7 +42,7 @@ def median(_champion: Champion, _models: tuple[str, ...], by_model: Array) -> Ar
 
 
 def choose(
-    contenders: Sequence[tuple[Champion, Mapping[str, Runner]]],
+    searched: Sequence[tuple[Champion, Mapping[str, Runner]]],
     *,
     seed: int,
     trials: int = 100,
@@ -50,22 +50,22 @@ def choose(
 ) -> Champion:
     """Return the champion whose finalist scores best on its scoring models, in ``trials`` fresh trials.
 
-    ``contenders`` are champions with their scoring models. For the default ``judgement``, the median over the models,
+    ``searched`` are champions with their scoring models. For the default ``judgement``, the median over the models,
     these should be of *other* families than the models of its evolution: fitness in its own model hardly predicts
     fitness on the robot, and fitness in other families ranks controllers as the robot does. A champion without
     scoring models keeps its fittest finalist; if only some champions have scoring models, only those are compared.
     Of finalists that have all the fitness there is, the one with the largest margin wins, see `candidate_margins`.
-    The result holds the finalists of all contenders with their scores. Raises `InvalidArgument` without a contender.
+    The result holds the finalists of all champions with their scores. Raises `InvalidArgument` without a champion.
     """
-    if not contenders:
+    if not searched:
         raise InvalidArgument("choose: expected at least one champion, got none")
     champions = [
         score_finalists(champion, models, seed=seed, trials=trials, judgement=judgement)
-        for champion, models in contenders
+        for champion, models in searched
     ]
     ranked = [
         (finalist, champion, models)
-        for champion, (_, models) in zip(champions, contenders, strict=True)
+        for champion, (_, models) in zip(champions, searched, strict=True)
         for finalist in champion.finalists
     ]
     scored = [one for one in ranked if one[0].forecast is not None]

@@ -102,21 +102,21 @@ class MeanModel(DynamicsModel):
         return other
 
     def calibrate(
-        self, cases: Sequence[tuple[Self, Dataset]], rng: np.random.Generator, still: Callable[[], None]
+        self, cases: Sequence[tuple[Self, Dataset]], rng: np.random.Generator, heartbeat: Callable[[], None]
     ) -> None:
         """Set the noise of a step from ``cases``, means like this one, each with its held-out data.
 
         ``residual_`` (nx,) is their error after one step, ``noise_scale_`` (nx,) that of `conformal_scale`.
         """
-        judged = [(mean, error_windows(held, mean.n_lags)) for mean, held in cases]
+        cases_windows = [(mean, error_windows(held, mean.n_lags)) for mean, held in cases]
         off = []
-        for mean, part in judged:
+        for mean, part in cases_windows:
             first = mean.simulate(part.past_states, part.past_controls, part.controls[:, :1])
             off.append(mean.system.difference(first[:, 0], part.states[:, 0]))
         self.residual_ = np.sqrt(np.mean(np.concatenate(off) ** 2, axis=0))
-        for mean, _ in judged:
+        for mean, _ in cases_windows:
             mean.residual_ = self.residual_
-        self.noise_scale_ = conformal_scale(judged, rng, still=still)
+        self.noise_scale_ = conformal_scale(cases_windows, rng, heartbeat=heartbeat)
 
     @cached_property
     def _together(self) -> Members:

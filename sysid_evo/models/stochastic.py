@@ -130,14 +130,16 @@ class StochasticModel(DynamicsModel):
         after = self.apply_limits(carry, control, after + deviation * disturbance)
         return self.shift_lags(carry, control, after)
 
-    def calibrate(self, dataset: Dataset, rng: np.random.Generator, still: Callable[[], None] = lambda: None) -> None:
+    def calibrate(
+        self, dataset: Dataset, rng: np.random.Generator, heartbeat: Callable[[], None] = lambda: None
+    ) -> None:
         """Calibrate the noise at the end of `fit`, if ``stochastic``; each part that is held out takes another fit."""
         if not self.stochastic:
             return
         models = []
         for seen, unseen in recording_or_time_folds(dataset)[: self.calibration_folds]:
-            models.append((self.settled().fit(seen, rng=rng, progress=lambda *_: still()), unseen))
-        self.spread_on(models, rng, still)
+            models.append((self.settled().fit(seen, rng=rng, progress=lambda *_: heartbeat()), unseen))
+        self.spread_on(models, rng, heartbeat)
 
     def settled(self) -> StochasticModel:
         """Return an unfitted model of this family with the hyper-parameters that `fit` chose, without noise."""
@@ -154,7 +156,7 @@ class StochasticModel(DynamicsModel):
         self,
         models: Sequence[tuple[StochasticModel, Dataset]],
         rng: np.random.Generator,
-        still: Callable[[], None],
+        heartbeat: Callable[[], None],
         *,
         own_deviation: bool = False,
     ) -> None:
@@ -165,7 +167,7 @@ class StochasticModel(DynamicsModel):
             if not own_deviation:
                 model.residual_ = residual
         cases = [Case.of(model, part, horizon, MAX_WINDOWS // len(models)) for model, part in models]
-        scales = horizon_scales(cases, persistent, rng, still=still)
+        scales = horizon_scales(cases, persistent, rng, heartbeat=heartbeat)
         self.keep_spread(residual, persistent, scales)
 
     @functools.cached_property

@@ -276,8 +276,8 @@ def number_of_jobs(wanted: int | None, left: Collection[Cell]) -> tuple[int, str
     """
     if wanted is not None and wanted < 1:
         raise InvalidArgument(f"jobs: expected at least 1, got {wanted}")
-    asked = wanted or _by_default(sum(cell.expected_seconds for cell in left))
-    jobs = max(1, min(asked, len(left)))
+    requested = wanted or _by_default(sum(cell.expected_seconds for cell in left))
+    jobs = max(1, min(requested, len(left)))
     if jobs == 1:
         return 1, ""
     available = available_memory()

@@ -50,13 +50,13 @@ class TaskState:
             self, **{item.name: getattr(self, item.name)[one] for item in fields(self) if item.name not in self.shared}
         )
 
-    def updated_where(self, advanced: Self, going: BoolArray) -> Self:
-        """Return ``advanced`` for the trials in ``going`` (B,), and this state for all others."""
+    def updated_where(self, advanced: Self, active: BoolArray) -> Self:
+        """Return ``advanced`` for the trials in ``active`` (B,), and this state for all others."""
         changed = {}
         for item in fields(self):
             old, new = getattr(self, item.name), getattr(advanced, item.name)
             if item.name not in self.shared:
-                changed[item.name] = np.where(going.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+                changed[item.name] = np.where(active.reshape(-1, *[1] * (old.ndim - 1)), new, old)
         return replace(advanced, **changed)
 
 

@@ -126,11 +126,11 @@ def a_restored_strategy_continues(example: StrategyExample) -> None:
         stored = _stored(state)
         expected = _candidates(strategy, 4), strategy.elite
         expect(same(list(stored.items()), list(_stored(state).items())), "a state changes after it was taken")
-        for asked, saved in ((False, stored), (True, _stored(_asked(example, before).state))):
+        for after_ask, saved in ((False, stored), (True, _stored(_asked(example, before).state))):
             other = example.make()
             _candidates(other, 2)
             other.restore(saved)
-            when = f"it continues differently after {before} generations{' and a call of ask' if asked else ''}"
+            when = f"it continues differently after {before} generations{' and a call of ask' if after_ask else ''}"
             expect(same(expected, (_candidates(other, 4), other.elite)), when)
 
 

@@ -89,9 +89,9 @@ def read_gives_finite_numbers(example: ReaderExample) -> None:
     """read returns the requested columns, in that order, as finite float64 numbers of one length"""
     columns = example.columns
     expect(columns, "no column of the example holds numbers")
-    asked = columns[::-1]
-    table = example.reader.read(example.path, asked)
-    expect(tuple(table.columns) == asked, f"expected {', '.join(asked)}, got {', '.join(table.columns)}")
+    requested = columns[::-1]
+    table = example.reader.read(example.path, requested)
+    expect(tuple(table.columns) == requested, f"expected {', '.join(requested)}, got {', '.join(table.columns)}")
     expect(len(table) >= 2, f"expected at least two rows, got {len(table)}")
     for name, values in table.columns.items():
         expect_numbers(f"column {name!r}", values, (len(table),))

@@ -83,7 +83,7 @@ class AcceptanceResult:
         return max(self.each) <= 1.0 - MIN_BLOCK_IMPROVEMENT
 
 
-def judged(
+def acceptance_result(
     name: str, uncorrected: Sequence[HeldOutErrors], corrected: Sequence[HeldOutErrors], kind: Kind = "fit"
 ) -> AcceptanceResult:
     """Return the result for the errors in all blocks without a correction, and in all or the first blocks with it."""

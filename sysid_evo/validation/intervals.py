@@ -141,7 +141,7 @@ def horizon_scales(
     rng: np.random.Generator,
     *,
     share: float = SHARE,
-    still: Callable[[], None] = lambda: None,
+    heartbeat: Callable[[], None] = lambda: None,
 ) -> Array:
     """Return the noise of every step in deviations (4, nx), for each time span between 0 and `HORIZONS`.
 
@@ -159,7 +159,7 @@ def horizon_scales(
         squares = [(run.error(last) / z) ** 2 for run in runs]
         before = [run.to(first, last, np.zeros(nx))[1] if first else np.zeros_like(run.error(last)) for run in runs]
         for _ in range(ROUNDS):
-            still()
+            heartbeat()
             wanted = []
             for run, square, earlier in zip(runs, squares, before, strict=True):
                 variance = run.to(first, last, scale)[1]
@@ -257,7 +257,7 @@ def conformal_scale(
     *,
     share: float = SHARE,
     rounds: int = ONE_SCALE_ROUNDS,
-    still: Callable[[], None] = lambda: None,
+    heartbeat: Callable[[], None] = lambda: None,
 ) -> Array:
     """Return the ``noise_scale_`` (nx,) with which ``share`` of the last states of all windows lie inside.
 
@@ -267,7 +267,7 @@ def conformal_scale(
     over all windows, with equal weight for all cases and (n + 1) / n times ``share`` for n windows (split conformal
     prediction: Lei et al. 2018, Romano et al. 2019). This is done for all channels at once, and ``rounds`` times,
     because the width is not quite proportional to the scale and the channels are coupled. The random numbers are the
-    same each time; ``still`` is called about once a second.
+    same each time; ``heartbeat`` is called about once a second.
     """
     most = ONE_SCALE_WINDOWS // len(cases)
     chosen = [(with_noise(model), windows[evenly_spaced(len(windows), most)]) for model, windows in cases]
@@ -277,7 +277,7 @@ def conformal_scale(
     for _ in range(rounds):
         parts = []
         for number, (model, windows) in enumerate(noisy):
-            still()
+            heartbeat()
             model.noise_scale_ = scale
             drawn = model.simulate(
                 windows.past_states,
@@ -341,9 +341,9 @@ def growth_on_unseen_recordings(
         if any(len(errors) == 0 for errors in (np.concatenate(within), *across)):
             factors.append(factors[-1] if factors else np.ones(dataset.system.nx))
             continue
-        seen_before = np.quantile(np.concatenate(within), share, axis=0)
-        never_seen = np.maximum([np.quantile(errors, share, axis=0) for errors in across], np.finfo(float).tiny)
-        factor = np.exp(np.mean(np.log(never_seen), axis=0)) / np.where(seen_before > 0, seen_before, np.inf)
+        seen_errors = np.quantile(np.concatenate(within), share, axis=0)
+        unseen_errors = np.maximum([np.quantile(errors, share, axis=0) for errors in across], np.finfo(float).tiny)
+        factor = np.exp(np.mean(np.log(unseen_errors), axis=0)) / np.where(seen_errors > 0, seen_errors, np.inf)
         factors.append(np.maximum(factor, 1.0))
     return factors[0] if steps is None else np.stack(factors)
 

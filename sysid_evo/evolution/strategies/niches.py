@@ -118,7 +118,7 @@ class Niches(EvolutionStrategy):
         self._made: list[Island] = []
         self._chosen: list[int] = []
         self._running: list[int] = []
-        self._asked: list[tuple[int, int]] = []
+        self._sizes: list[tuple[int, int]] = []
 
     @property
     def islands(self) -> list[Island]:
@@ -211,14 +211,14 @@ class Niches(EvolutionStrategy):
 
     def ask(self) -> Array:
         count, first = len(self.islands), self.generation * self.slots
-        asked = self._running or sorted({(first + i) % count for i in range(self.slots)})
-        populations = [self.islands[i].strategy.ask() for i in asked]
-        self._asked = [(i, len(population)) for i, population in zip(asked, populations, strict=True)]
+        active_islands = self._running or sorted({(first + i) % count for i in range(self.slots)})
+        populations = [self.islands[i].strategy.ask() for i in active_islands]
+        self._sizes = [(i, len(population)) for i, population in zip(active_islands, populations, strict=True)]
         return np.concatenate(populations)
 
     def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
         begin = 0
-        for index, count in self._asked:
+        for index, count in self._sizes:
             part, island = slice(begin, begin + count), self.islands[index]
             off = self._off(island, behaviour[part])
             island.tell(population[part], fitness[part], behaviour[part], off)

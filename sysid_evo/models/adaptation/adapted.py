@@ -252,8 +252,8 @@ def calibrated_elsewhere(
         for one in fold_results
         if isinstance(one.model, StochasticModel) and one.held is not None
     ]
-    still = np.zeros(base.system.nx)
-    residual, persistent = step_spread(pairs, lambda steps, carry, control: steps.disturbed(carry, control, still))
+    no_noise = np.zeros(base.system.nx)
+    residual, persistent = step_spread(pairs, lambda steps, carry, control: steps.disturbed(carry, control, no_noise))
     horizon = usable_horizon([held for _, held in pairs], base.n_lags)
     for steps, _ in pairs:
         steps.base.residual_ = residual

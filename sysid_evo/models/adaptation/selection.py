@@ -22,7 +22,7 @@ from sysid_evo.models.dynamics import Dynamics
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry.registry import models
 from sysid_evo.types import Array
-from sysid_evo.validation.acceptance import AND, AcceptanceResult, HeldOutErrors, Kind, failed, judged
+from sysid_evo.validation.acceptance import AND, AcceptanceResult, HeldOutErrors, Kind, acceptance_result, failed
 from sysid_evo.validation.folds import Block, blocks_of
 from sysid_evo.validation.simulation_error import error_of
 
@@ -148,7 +148,7 @@ def adaptation(
                 errors[name].append(_errors(learned, part))
                 fold_results.setdefault(name, []).append(learned)
                 counter.advance()
-        trials += [judged(name, uncorrected, each) for name, each in errors.items()]
+        trials += [acceptance_result(name, uncorrected, each) for name, each in errors.items()]
     best = min(trials, key=lambda trial: trial.error).name if trials else NONE
     averaged = fold_results.get(best, []) if not model.n_noise else []
     for name, make in makers.items() if blocks else ():
@@ -156,9 +156,9 @@ def adaptation(
         if tested is not None:
             fold_results[name], of_model, of_mean = tested
             kind_of_model, kind_of_mean = _KINDS[name in FINE_TUNED]
-            trials.append(judged(name, uncorrected, of_model, kind_of_model))
+            trials.append(acceptance_result(name, uncorrected, of_model, kind_of_model))
             if averaged:
-                trials.append(judged(best + AND + name, uncorrected, of_mean, kind_of_mean))
+                trials.append(acceptance_result(best + AND + name, uncorrected, of_mean, kind_of_mean))
     decision = AdaptationDecision(seconds, len(blocks), error, tuple(trials), decided(trials))
     learned = _fitted_to_all(model, dataset, windows, decision, makers)
     return Adaptation(learned, decision, tuple(fold_results.get(decision.chosen, ())))

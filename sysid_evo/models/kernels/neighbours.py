@@ -239,10 +239,10 @@ def nearest_of_many(query, sides, groups, boxes, points, around, bounds):
     limit = splat_quarter(lowest(point_distances(query, sides, view(points, first * sides * BUCKET))))
     best, bucket = splat_quarter(FAR * FAR), splat_quarter(0.0)
     for start in range(0, groups, BUCKET):
-        asked = ALL_BOXES - lanes_less(limit, load_quarter(bounds, start))
-        while asked != 0:
-            group = start + first_lane(asked)
-            asked &= asked - 1
+        pending = ALL_BOXES - lanes_less(limit, load_quarter(bounds, start))
+        while pending != 0:
+            group = start + first_lane(pending)
+            pending &= pending - 1
             near = 0
             if group < groups:
                 bound = box_distances(query, sides, view(boxes, group * sides * 2 * BUCKET))

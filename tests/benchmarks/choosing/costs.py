@@ -25,7 +25,7 @@ from tests.benchmarks.choosing.__main__ import recording
 
 def seconds(candidate: Candidate, data: Dataset, *, rough: bool) -> float:
     """Return the processor time of a fit, in s."""
-    model = candidate.model(**(candidate.judged_with if rough else {}))
+    model = candidate.model(**(candidate.selection_settings if rough else {}))
     began = time.process_time()
     model.fit(data, rng=np.random.default_rng(0))
     return time.process_time() - began

@@ -164,11 +164,11 @@ def test_controllers_at_the_limit_of_a_command_are_not_beyond_it():
     never_both = [np.minimum(e.controls, 0.9) for e in data]
     for number, controls in enumerate(never_both):
         controls[:, number % 2] = 1.0
-    seen, asked = (
+    seen, needed = (
         Steps.of(system, Dataset.from_arrays(system, [e.states for e in data], controls).episodes)
         for controls in (never_both, [np.ones_like(u) for u in never_both])
     )
-    assert largest_gap(seen, asked).words == "push at 1 and steer at 1"
+    assert largest_gap(seen, needed).words == "push at 1 and steer at 1"
 
 
 def test_a_command_that_was_never_tried_at_speed_is_named_without_controllers():
@@ -190,15 +190,15 @@ def test_controllers_that_go_where_no_test_is_made_are_named():
 
 
 def test_two_channels_make_a_place_where_each_alone_was_visited():
-    seen, asked = Steps.moving(recorded()), Steps.moving(recorded(seed=1))
+    seen, needed = Steps.moving(recorded()), Steps.moving(recorded(seed=1))
     corner = (seen.before[:, 0] > 0.1) & (seen.control[:, 1] > 0.0)
     apart = Steps(seen.system, seen.before[~corner], seen.control[~corner], seen.after[~corner])
-    gap = largest_gap(apart, asked)
+    gap = largest_gap(apart, needed)
     assert {region.channel for region in gap.place} == {"speed", "steer"}
-    assert largest_gap(seen, asked) is None
-    few, short = (Steps(one.system, one.before[:199], one.control[:199], one.after[:199]) for one in (asked, apart))
+    assert largest_gap(seen, needed) is None
+    few, short = (Steps(one.system, one.before[:199], one.control[:199], one.after[:199]) for one in (needed, apart))
     assert largest_gap(apart, few) is None
-    assert largest_gap(short, asked) is None
+    assert largest_gap(short, needed) is None
 
 
 def test_a_rare_pair_is_untried_and_has_its_share():
@@ -206,7 +206,7 @@ def test_a_rare_pair_is_untried_and_has_its_share():
     high = np.tile([[1, 0]] * 38 + [[0, 1]] * 48 + [[1, 1]] * 2 + [[0, 0]] * 12, (5, 1)).astype(float)
     system = System((Channel("speed"),), (Channel("steer", levels=(0.0, 1.0)),), 0.1)
     gap = untried_pair(Steps(system, high[:, :1], high[:, 1:], high[:, :1]))
-    assert (gap.asked, gap.seen, gap.words) == (pytest.approx(0.2), 0.02, "speed at 1 and steer at 1")
+    assert (gap.needed, gap.seen, gap.words) == (pytest.approx(0.2), 0.02, "speed at 1 and steer at 1")
 
 
 @pytest.mark.parametrize(
@@ -217,7 +217,7 @@ def test_a_channel_is_cut_at_its_median(slow, words):
     steer = ((speed < 0.44) if slow else (speed > 0.56)).astype(float)
     system = System((Channel("speed"),), (Channel("steer", levels=(0.0, 1.0)),), 0.1)
     gap = untried_pair(Steps(system, speed, steer, speed))
-    assert (gap.asked, gap.words) == (pytest.approx(0.22, abs=0.001), words)
+    assert (gap.needed, gap.words) == (pytest.approx(0.22, abs=0.001), words)
 
 
 def test_a_model_with_too_much_to_choose_from_is_overfit_and_still_learns():

@@ -53,7 +53,7 @@ def trace(*legs, markers=()):
 
 def chased(markers, *legs):
     pose, speed, _ = path(*legs)
-    return chase(pose[:, :2], np.array(markers), RADIUS, speed, DT, still=0.1)
+    return chase(pose[:, :2], np.array(markers), RADIUS, speed, DT, rest_speed=0.1)
 
 
 def test_a_marker_that_is_driven_straight_to_is_not_missed():
@@ -83,7 +83,7 @@ def test_to_drive_by_far_away_or_away_from_the_start_is_no_miss(marker):
 def test_the_time_from_a_miss_to_the_marker_is_measured():
     ahead = np.stack([np.linspace(0.0, 2.0, 41), np.zeros(41)], axis=1)
     back = ahead[-1] + np.linspace(0.0, 1.0, 24)[1:, None] * np.array([-1.0, 0.5])  # 1.12 m, at about 1 m/s
-    found = chase(np.concatenate([ahead, back]), np.array([[1.0, 0.5]]), RADIUS, np.ones(64), DT, still=0.1)
+    found = chase(np.concatenate([ahead, back]), np.array([[1.0, 0.5]]), RADIUS, np.ones(64), DT, rest_speed=0.1)
     assert (found.missed, found.reached, found.reactions) == (1, 1, ("drives on",))
     assert found.after[0] == pytest.approx(1.0 + (1.118 - RADIUS) / (1.118 / 23 / DT), abs=DT)
 

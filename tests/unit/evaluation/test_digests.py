@@ -132,7 +132,7 @@ def test_what_was_evolved_against_several_models_can_be_chosen_and_is_not_evolve
     found = planned(**{**RECOMMENDED, "ensembles": ("linear+near",)})
     polished = found.matrix.controllers[-1]
     assert isinstance(polished.settings, Polish)
-    contenders = polished.settings.chosen.settings.contenders
+    contenders = polished.settings.chosen.settings.searches
     assert [one.name for one in contenders] == ["linear", "near", "parametrised", "linear+near"]
     assert sum(cell.title == "evolve linear+near" for cell in found.plan) == 1
 

@@ -17,7 +17,14 @@ from sysid_evo.models.adaptation.selection import (
     refitted,
 )
 from sysid_evo.models.base import make_model
-from sysid_evo.validation.acceptance import AcceptanceResult, HeldOutErrors, failed, inside, judged, within_margin
+from sysid_evo.validation.acceptance import (
+    AcceptanceResult,
+    HeldOutErrors,
+    acceptance_result,
+    failed,
+    inside,
+    within_margin,
+)
 from sysid_evo.validation.folds import Block, blocks_of
 from tests.fixtures.systems import FloorCar, drive
 
@@ -103,24 +110,26 @@ def test_fine_tuning_must_be_significant_as_one_of_three_amounts(t, accepted):
     gains = apart + t * apart.std(ddof=1) / np.sqrt(15)
     plain = [np.full((10, 5, 2), np.sqrt(2.0))] * 3
     better = [np.repeat(np.sqrt(2.0 - part), 2)[:, None, None] * np.ones((10, 5, 2)) for part in np.split(gains, 3)]
-    sure = [kind for kind in KINDS if judged("a", list(map(held, plain)), list(map(held, better)), kind).sure]
+    sure = [
+        kind for kind in KINDS if acceptance_result("a", list(map(held, plain)), list(map(held, better)), kind).sure
+    ]
     assert " ".join(sure) == accepted
 
 
 def test_shares_of_an_error_do_not_depend_on_its_size_and_that_of_none_is_finite():
     rng = np.random.default_rng(0)
     plain = [1e-9 * rng.normal(size=(20, 5, 2)) for _ in range(3)]
-    tiny = judged("tiny", [held(one) for one in plain], [held(0.5 * one) for one in plain])
+    tiny = acceptance_result("tiny", [held(one) for one in plain], [held(0.5 * one) for one in plain])
     assert (tiny.error, *tiny.each) == pytest.approx((0.5,) * 4, rel=1e-6)
     none = [held(np.zeros((20, 5, 2)))] * 3
-    exact = judged("exact", none, none)
+    exact = acceptance_result("exact", none, none)
     assert (exact.error, *exact.each) == (0.0,) * 4
-    assert not judged("worse", none, [held(one) for one in plain]).everywhere
+    assert not acceptance_result("worse", none, [held(one) for one in plain]).everywhere
 
 
 def test_half_the_error_in_every_second_is_a_share_of_a_half_and_sure():
     plain = [np.full((8, 5, 2), size) for size in (1.0, 2.0)]
-    trial = judged("half", [held(one) for one in plain], [held(0.5 * one) for one in plain])
+    trial = acceptance_result("half", [held(one) for one in plain], [held(0.5 * one) for one in plain])
     assert (trial.error, *trial.each) == pytest.approx((0.5, 0.5, 0.5))
     assert trial.good
 
@@ -128,7 +137,7 @@ def test_half_the_error_in_every_second_is_a_share_of_a_half_and_sure():
 def test_an_error_that_is_lower_in_one_second_alone_is_not_surely_lower():
     before, after = np.ones((12, 5, 2)), np.ones((12, 5, 2))
     before[:2] = 10.0
-    trial = judged("luck", [held(before)], [held(after)])
+    trial = acceptance_result("luck", [held(before)], [held(after)])
     assert trial.error < 0.5
     assert not trial.good
 
@@ -149,14 +158,16 @@ def test_a_mean_gain_that_chance_explains_once_in_forty_is_sure(gains, sure):
         held(np.repeat(np.sqrt(9.0 - part), 2)[:, None, None] * np.ones((1, 5, 2)))
         for part in (np.zeros(len(gains)), np.array(gains))
     )
-    assert judged("a", [plain], [better]).sure == sure
+    assert acceptance_result("a", [plain], [better]).sure == sure
 
 
 @pytest.mark.parametrize(("seconds", "share"), [(4, 0.5), (25, 0.2), (100, 0.15)])
 def test_fine_tuning_must_be_better_by_more_the_fewer_seconds_are_compared(seconds, share):
     plain = [held(np.ones((2 * seconds, 5, 2)))]
     better = [held(np.full((2 * seconds, 5, 2), 0.6))]
-    assert [judged("a", plain, better, kind).required for kind in KINDS] == pytest.approx([0.15, 0.15, share, share])
+    assert [acceptance_result("a", plain, better, kind).required for kind in KINDS] == pytest.approx(
+        [0.15, 0.15, share, share]
+    )
     for error, good in ((1.0 - share + 0.001, False), (1.0 - share, True)):
         assert AcceptanceResult("a", error, (0.5,), True, "fine_tuned", share).good == good
 
@@ -166,7 +177,7 @@ def test_what_is_hardly_better_in_one_block_has_failed_in_those_that_it_knows(la
     plain = [np.ones((8, 5, 2))] * 3
     seen = [held(0.2 * plain[0]), held(last * plain[1])]
     assert failed(list(map(held, plain)), seen) == no_good
-    assert judged("a", list(map(held, plain)), seen).each == pytest.approx((0.2, last))
+    assert acceptance_result("a", list(map(held, plain)), seen).each == pytest.approx((0.2, last))
 
 
 @pytest.fixture
@@ -299,9 +310,9 @@ def test_what_is_shared_out_over_blocks_is_compared_second_by_second():
     plain = HeldOutErrors(1.0 + 0.01 * rng.random((6, 4, 1)), np.array([0, 0, 1, 1, 2, 9]))
     after = HeldOutErrors(np.full((6, 4, 1), 0.5), np.array([0, 0, 1, 1, 2, 8]))
     assert plain.squares()[0] == pytest.approx(float((plain.errors[:2] ** 2).mean()))
-    assert judged("a", [plain], [after]).sure
+    assert acceptance_result("a", [plain], [after]).sure
     few = HeldOutErrors(plain.errors, np.array([0, 0, 1, 1, 9, 9]))
-    assert not judged("a", [few], [after]).sure  # two seconds are common
+    assert not acceptance_result("a", [few], [after]).sure  # two seconds are common
 
 
 def episodes(*lengths):

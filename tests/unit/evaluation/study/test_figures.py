@@ -95,7 +95,7 @@ def test_errors_of_a_family_are_shown_once_if_an_axis_does_not_change_them():
 
 
 def test_how_often_a_model_is_exploited_is_counted_over_points(results):
-    assert [(one.model, one.exploited, one.judged) for one in exploit_figures(results)] == [
+    assert [(one.model, one.exploited, one.assessed) for one in exploit_figures(results)] == [
         ("best", 0, 9),
         ("worse", 9, 9),
     ]
@@ -253,7 +253,7 @@ def test_models_stand_by_their_error_after_a_second_those_that_failed_last():
     assert [(one.model, one.fits, one.failed) for one in figures] == [("late", 1, 0), ("soon", 1, 0), ("broken", 1, 1)]
     assert [one.seconds and one.seconds.mean for one in figures] == [5.0, 3.0, None]
     (judged,) = exploit_figures(replace(empty, models=rows))
-    assert (judged.model, judged.exploited, judged.judged) == ("soon", 1, 1)
+    assert (judged.model, judged.exploited, judged.assessed) == ("soon", 1, 1)
     assert judged.kept.mean == 0.5
 
 
