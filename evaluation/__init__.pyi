@@ -17,7 +17,17 @@ from .planning import Comparison, check_experiment, comparison_of, plan_comparis
 from .prediction.cases import PredictionProtocol, main_horizon
 from .prediction.scores import PERSISTENCE, Prediction
 from .prediction.scoring import assess_prediction
-from .report.report import brief, save_report, story_of, tables, to_html, to_json, transfer_tables, transfer_to_json
+from .report.report import (
+    brief,
+    load_report,
+    save_report,
+    story_of,
+    tables,
+    to_html,
+    to_json,
+    transfer_tables,
+    transfer_to_json,
+)
 from .report.save import FORMATS, write_format
 from .report.sections.advice import advice_lines, remark_lines
 from .report.sections.summary import is_empty
@@ -122,6 +132,7 @@ __all__ = [
     "is_model_of_a_run",
     "latest_run_folder",
     "load_measured",
+    "load_report",
     "main_horizon",
     "matrix_of",
     "measured_by_person",

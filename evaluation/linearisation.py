@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -84,10 +83,6 @@ class LinearResponse:
         z = np.exp(1j * frequencies * self.dt)
         shifted = z[:, None, None] * np.eye(len(self.a)) - self.a
         return np.asarray(np.linalg.solve(shifted, self.b[None])[:, : self.nx])
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the form in a document: the poles alone, as pairs of real and imaginary part."""
-        return {"dt": self.dt, "poles": [[z.real, z.imag] for z in self.poles]}
 
 
 def linearised(model: DynamicsModel, point: OperatingPoint) -> LinearResponse:

@@ -31,7 +31,7 @@ class ComparisonResults(Displayed):
     they and ``day`` alone differ between two equal runs. ``controllers`` gives the file of each controller, relative
     to the folder of the run. ``conditions`` are the errors of each model within and across conditions, if these were
     left out. ``task_notes`` are the held-out errors of a reward that was learned, in words. ``day`` is that of the
-    last computed step, in UTC; ``report.json`` does not contain it.
+    last computed step, in UTC.
     """
 
     title: str
@@ -189,5 +189,5 @@ class ModelSummary:
 class Failure:
     """A step that failed, and why; the report is made without it."""
 
-    what: str
+    step: str
     reason: str

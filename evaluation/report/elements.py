@@ -24,8 +24,8 @@ class Page:
     """A report in its order: title, one line of ``facts``, ``warnings``, answers with one figure, table, sections."""
 
     title: str
-    headlines: Sequence[Headline]
-    findings: Sequence[Finding]
+    headlines: Sequence[Answer]
+    findings: Sequence[Answer]
     overview: TableElement | None
     sections: Sequence[Section]
     facts: str = ""
@@ -34,22 +34,22 @@ class Page:
 
 
 @dataclass(frozen=True)
-class Headline:
-    """One question, its answer in a few words, a sentence, and the command to run next, if there is one."""
+class Answer:
+    """One question, its answer in a few words (empty if sentences alone answer it), and sentences.
+
+    ``command`` is what to type next in the run folder, empty for nothing.
+    """
 
     question: str
     answer: str
-    sentence: str
-    tone: Tone
+    sentences: tuple[str, ...]
+    tone: Tone = "open"
     command: str = ""
 
-
-@dataclass(frozen=True)
-class Finding:
-    """One question and its answers."""
-
-    question: str
-    answers: tuple[str, ...]
+    @property
+    def sentence(self) -> str:
+        """All sentences."""
+        return " ".join(self.sentences)
 
 
 @dataclass(frozen=True)

@@ -6,18 +6,19 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from html import escape
-from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+from pydantic import ConfigDict, Field, ValidationError
 from rich.console import Group, RenderableType
 from rich.text import Text
 
 from evaluation.behaviour import driving_summaries
-from evaluation.report.elements import Page, Section, Tone
+from evaluation.report.document import Part
+from evaluation.report.elements import Answer, Page, Section, Tone
 from evaluation.report.render.html import page_of
 from evaluation.report.render.markdown import story_to_markdown
-from evaluation.report.render.terminal import findings_lines, indented, plain_text, table_lines
+from evaluation.report.render.terminal import answer_lines, indented, plain_text, table_lines
 from evaluation.report.save import json_text, write_page, write_text
 from evaluation.report.sections import (
     advice,
@@ -31,24 +32,29 @@ from evaluation.report.sections import (
     run,
     transfer,
 )
-from evaluation.report.sections.advice import advice_lines
-from evaluation.report.sections.behaviour import behaviour_to_json
+from evaluation.report.sections.advice import AdvicePart, advice_lines
+from evaluation.report.sections.behaviour import BehaviourPart, behaviour_parts
 from evaluation.report.sections.controllers import (
+    ControllersPart,
     fitness_table,
-    forecast_to_json,
     overview_picture,
-    summary_to_json,
     use_command,
 )
-from evaluation.report.sections.evolution import champion_to_json
-from evaluation.report.sections.exploitability import exploitability_to_json
-from evaluation.report.sections.prediction import condition_table, error_table, prediction_to_json
+from evaluation.report.sections.data import DataPart
+from evaluation.report.sections.error_analysis import ErrorAnalysisPart
+from evaluation.report.sections.evolution import EvolutionPart
+from evaluation.report.sections.exploitability import ExploitabilityPart
+from evaluation.report.sections.models import ModelPart
+from evaluation.report.sections.prediction import PredictionPart, condition_table, error_table
+from evaluation.report.sections.run import RunPart, TimingsPart
 from evaluation.report.sections.summary import SAID, facts, headlines, is_empty, page_title, verdict, warnings
-from evaluation.report.sections.transfer import matrix_to_json
+from evaluation.report.sections.transfer import TransferPart
 from evaluation.results import ComparisonResults
 from evaluation.storage import plain
+from evaluation.transfer.forecast import forecasts
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import summary_of
+from sysid_evo.errors import ArtefactError
 
 DOCUMENT, PAGE = "report.json", "report.html"
 
@@ -109,68 +115,113 @@ def save_report(
     """
     text = json_text(to_json(report))
     document = write_text(Path(folder) / DOCUMENT, text)
-    made_of = () if of is None else (of, text, str(report.day))
+    made_of = () if of is None else (of, text)
     return document, write_page(Path(folder) / PAGE, lambda: story_of(report), made_of=made_of, afresh=afresh)
 
 
-SCHEMA = "sysid-evo/report/6"
-"""Version of the document that ``report.schema.json`` describes."""
+SCHEMA: Literal["sysid-evo/report/7"] = "sysid-evo/report/7"
+
+
+class ReportDocument(Part):
+    """Results of a comparison. Readers ignore keys that they do not know.
+
+    A key that goes or changes its meaning raises the number in ``schema``. What is not a number is null. ``timings`` is
+    the only key that differs between two equal runs.
+    """
+
+    model_config = ConfigDict(title="report.json of sysid-evo")
+
+    schema_: Literal["sysid-evo/report/7"] = Field(SCHEMA, alias="schema")
+    title: str
+    answers: tuple[Answer, ...]
+    controllers: ControllersPart | None
+    transfer: TransferPart | None
+    evolution: EvolutionPart | None
+    exploitability: tuple[ExploitabilityPart, ...]
+    prediction: PredictionPart | None
+    error_analysis: ErrorAnalysisPart | None
+    models: tuple[ModelPart, ...]
+    advice: AdvicePart | None
+    behaviour: tuple[BehaviourPart, ...]
+    data: DataPart
+    run: RunPart
+    timings: TimingsPart
+
+    @classmethod
+    def of(cls, report: ComparisonResults) -> ReportDocument:
+        """Return the document of a report."""
+        prediction, matrix = report.prediction, report.matrix
+        return cls(
+            title=report.title,
+            answers=verdict(report),
+            controllers=None
+            if report.transfer is None
+            else ControllersPart.of(report.transfer, report.forecasts, report),
+            transfer=None if matrix is None else TransferPart.of(matrix),
+            evolution=None if matrix is None else EvolutionPart.of(matrix),
+            exploitability=tuple(map(ExploitabilityPart.model_validate, report.exploitability)),
+            prediction=None if prediction is None else PredictionPart.of(prediction, report.conditions),
+            error_analysis=None if prediction is None else ErrorAnalysisPart.of(prediction),
+            models=tuple(map(ModelPart.of, report.models)),
+            advice=None if report.advice is None else AdvicePart.model_validate(report.advice),
+            behaviour=() if matrix is None else tuple(behaviour_parts(report.driving_summaries, matrix)),
+            data=DataPart.of(report),
+            run=RunPart.of(report),
+            timings=TimingsPart(cells=dict(report.timings), finished_on=report.day),
+        )
 
 
 def report_schema() -> dict[str, Any]:
-    """Return the JSON schema of the document."""
-    schema: dict[str, Any] = json.loads(files("evaluation.report").joinpath("report.schema.json").read_text("utf-8"))
-    return schema
+    """Return the JSON schema of ``report.json``."""
+    described = ReportDocument.model_json_schema(mode="serialization")
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": f"urn:{SCHEMA.replace('/', ':')}",
+        **described,
+    }
 
 
 def to_json(report: ComparisonResults) -> dict[str, Any]:
-    """Return the report as strict JSON: nan and infinity are null, durations are only in ``timings``."""
-    document = {
-        "schema": SCHEMA,
-        "title": report.title,
-        "headlines": headlines(report),
-        "verdict": verdict(report),
-        "data": {
-            "name": report.data.name,
-            "fingerprint": report.data.fingerprint,
-            "system": report.data.system.to_dict(),
-            "training": report.data.training,
-            "test": report.data.test,
-        },
-        "notes": (*report.notes, *report.task_notes),
-        "models": report.models,
-        "prediction": None if report.prediction is None else prediction_to_json(report.prediction),
-        **({"conditions": report.conditions} if report.conditions else {}),
-        "champions": []
-        if report.matrix is None
-        else [champion_to_json(champion) for champion in report.matrix.champions],
-        "transfer": None if report.matrix is None else matrix_to_json(report.matrix),
-        "controllers": None if report.transfer is None else summary_to_json(report.transfer),
-        "forecast": None if report.matrix is None else forecast_to_json(report),
-        "behaviour": [] if report.matrix is None else behaviour_to_json(report.driving_summaries, report.matrix),
-        "controller_files": report.controllers,
-        "exploitability": [exploitability_to_json(model) for model in report.exploitability],
-        "advice": report.advice,
-        "failures": report.all_failures,
-        "settings": report.settings,
-        "versions": report.versions,
-        "timings": report.timings,
-    }
-    strict: dict[str, Any] = plain(document)
+    """Return the report as strict JSON: nan and infinity are null, times are only in ``timings``."""
+    strict: dict[str, Any] = plain(ReportDocument.of(report).model_dump(mode="json", by_alias=True))
     return strict
+
+
+def load_report(path: str | Path) -> ReportDocument:
+    """Read ``report.json`` in the run folder ``path``.
+
+    Raises `ArtefactError` for a file that is missing, of another version, or no report, with the remedy.
+    """
+    file = Path(path) / DOCUMENT
+    remedy = f"rebuild it with sysid-evo report {path}"
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise ArtefactError(f"{file}: not a readable report ({error}); {remedy}") from error
+    version = found.get("schema") if isinstance(found, dict) else None
+    if version != SCHEMA:
+        raise ArtefactError(f"{file}: expected a report of schema {SCHEMA}, got {version!r:.60}; {remedy}")
+    try:
+        return ReportDocument.model_validate(found)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        raise ArtefactError(f"{file}: {key}: {first['msg']}, got {first['input']!r:.60}; {remedy}") from error
 
 
 def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
     """Return a transfer matrix without a report as strict JSON, with the keys of a report."""
-    document = {
-        "schema": SCHEMA,
-        "champions": [champion_to_json(champion) for champion in matrix.champions],
-        "transfer": matrix_to_json(matrix),
-        "controllers": summary_to_json(summary_of(matrix)),
-        "behaviour": behaviour_to_json(driving_summaries(matrix), matrix),
+    parts = {
+        "controllers": ControllersPart.of(summary_of(matrix), forecasts(matrix, {})),
+        "transfer": TransferPart.of(matrix),
+        "evolution": EvolutionPart.of(matrix),
     }
-    strict: dict[str, Any] = plain(document)
-    return strict
+    behaviour = behaviour_parts(driving_summaries(matrix), matrix)
+    return {
+        "schema": SCHEMA,
+        **{key: part.model_dump(mode="json") for key, part in parts.items()},
+        "behaviour": [part.model_dump(mode="json") for part in behaviour],
+    }
 
 
 def transfer_tables(matrix: TransferMatrix) -> list[RenderableType]:
@@ -193,7 +244,7 @@ def brief(report: ComparisonResults, *, folder: str | Path = "") -> list[Rendera
     parts = _verdict(report)
     if report.all_failures:
         shown, count = report.all_failures[:SHOWN_FAILURES], len(report.all_failures)
-        reasons = [indented(f"{failure.what}: {failure.reason.splitlines()[0]}") for failure in shown]
+        reasons = [indented(f"{failure.step}: {failure.reason.splitlines()[0]}") for failure in shown]
         more = [indented(f"and {count - len(shown)} more, in the report")] if count > len(shown) else []
         parts.append(Group(*reasons, *more))
     short = fitness_table(report, short=True)
@@ -248,4 +299,4 @@ class PrintedReport(ComparisonResults):
 
 
 def _verdict(report: ComparisonResults) -> list[RenderableType]:
-    return [Text(page_title(report), style="bold"), *findings_lines(verdict(report))]
+    return [Text(page_title(report), style="bold"), *answer_lines(verdict(report))]

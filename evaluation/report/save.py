@@ -23,7 +23,7 @@ EVALUATION = Path(__file__).parents[1]
 
 
 def json_text(document: Mapping[str, Any]) -> str:
-    """Return the text of a document that `evaluation.storage.plain` has made strict."""
+    """Return the text of a strict document."""
     return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 

@@ -16,11 +16,10 @@ from evaluation.plots import MeanAndInterval, plot_spreads
 from evaluation.report.elements import (
     NARROW,
     WIDE,
+    Answer,
     Drawing,
     DrawingPair,
     FigureElement,
-    Finding,
-    Headline,
     Page,
     Section,
     TableElement,
@@ -28,7 +27,7 @@ from evaluation.report.elements import (
 )
 from evaluation.report.render.html import page_of
 from evaluation.report.render.markdown import story_to_markdown
-from evaluation.report.render.terminal import findings_lines, table_lines
+from evaluation.report.render.terminal import answer_lines, table_lines
 from evaluation.report.save import json_text, write_text
 from evaluation.storage import plain
 from evaluation.study.figures import (
@@ -99,8 +98,8 @@ def study_brief(results: StudyResults, *, verbose: bool = False) -> list[Rendera
     page = study_page(results)
     parts: list[RenderableType] = [
         Text(page.title, style="bold"),
-        *findings_lines([Finding(one.question, (f"{one.answer}. {one.sentence}",)) for one in page.headlines]),
-        *findings_lines(page.findings),
+        *answer_lines([Answer(one.question, "", (f"{one.answer}. {one.sentence}",)) for one in page.headlines]),
+        *answer_lines(page.findings),
     ]
     short = page.overview or prediction_sheet(results)
     parts += [] if short is None else table_lines(short)
@@ -111,18 +110,18 @@ def study_brief(results: StudyResults, *, verbose: bool = False) -> list[Rendera
     return parts
 
 
-def headlines(results: StudyResults) -> tuple[Headline, ...]:
+def headlines(results: StudyResults) -> tuple[Answer, ...]:
     """Return the three answers that the page begins with."""
     return _achieving(results), _forecasting(results), _predicting(results)
 
 
-def _achieving(results: StudyResults) -> Headline:
+def _achieving(results: StudyResults) -> Answer:
     question = "Which controllers work on the robot?"
     figures = [one for one in controller_figures(results) if one.normalised is not None and one.controller != HINDSIGHT]
     axes = results.study.group_axes
     named = [one for one in figures if one.controller != CHOSEN and one.kind != "robot"]
     if not named:
-        return Headline(question, "Not known", "No controller was run on a robot.", "open")
+        return Answer(question, "Not known", ("No controller was run on a robot.",))
     best = max(named, key=_mean_of)
     assert best.normalised is not None
     alone = [one for one in named if one.kind == "single"]
@@ -133,7 +132,7 @@ def _achieving(results: StudyResults) -> Headline:
         assert other.normalised is not None
         text += f" The best family alone: {other.name(axes)}, {_percent_of(other.normalised)}"
         text += f", {percent(other.normalised.lowest)} in its worst point."
-    return Headline(question, best.name(axes), text, "good")
+    return Answer(question, best.name(axes), (text,), "good")
 
 
 def _mean_of(one: ControllerFigures) -> float:
@@ -146,12 +145,12 @@ def _percent_of(found: Spread) -> str:
     return f"{percent(found.mean)} ({percent(found.low)} to {percent(found.high)})"
 
 
-def _forecasting(results: StudyResults) -> Headline:
+def _forecasting(results: StudyResults) -> Answer:
     question = "Can a controller be chosen without the robot?"
     figures = forecast_figures(results)
     by_forecast = [one for one in figures if one.figure == "forecast" and one.correlation is not None]
     if not by_forecast:
-        return Headline(question, "Not known", "No finished point has controllers with forecasts.", "open")
+        return Answer(question, "Not known", ("No finished point has controllers with forecasts.",))
     one = by_forecast[0]
     claim = next((other for other in figures if other.group == one.group and other.figure == "claim"), None)
     assert one.correlation is not None
@@ -165,19 +164,19 @@ def _forecasting(results: StudyResults) -> Headline:
         )
     if one.inside is not None:
         text += f" {percent(one.inside.mean)} of the 90 % intervals contain the achieved fitness."
-    return Headline(question, answer, text, "good" if one.correlation.mean > 0.5 else "bad")
+    return Answer(question, answer, (text,), "good" if one.correlation.mean > 0.5 else "bad")
 
 
-def _predicting(results: StudyResults) -> Headline:
+def _predicting(results: StudyResults) -> Answer:
     question = "Which models predict?"
     figures = [one for one in prediction_figures(results) if one.n[20] is not None]
     if not figures:
-        return Headline(question, "Not known", "No prediction was made.", "open")
+        return Answer(question, "Not known", ("No prediction was made.",))
     text = [f"{one.model} {n.mean:.3f}" for one in figures[:4] if (n := one.n[20]) is not None]
-    return Headline(question, figures[0].model, f"N after 20 steps: {', '.join(text)}.", "good")
+    return Answer(question, figures[0].model, (f"N after 20 steps: {', '.join(text)}.",), "good")
 
 
-def findings(results: StudyResults) -> list[Finding]:
+def findings(results: StudyResults) -> list[Answer]:
     """Return the basis of the numbers: points, robots and seeds, best known fitness, failed and missing cells."""
     finished, all_points = len(results.finished), len(results.points)
     done = [f"{all_points} points. {_basis(results)}"]
@@ -194,10 +193,10 @@ def findings(results: StudyResults) -> list[Finding]:
     for row in results.controllers:
         if row.best_known is not None:
             best_known[results.point(row.point).where] = row.best_known
-    found = [Finding("What are the figures based on?", tuple(done))]
+    found = [Answer("What are the figures based on?", "", tuple(done))]
     if best_known:
         text = ", ".join(f"{robot} {three_digits(value)}" for robot, value in best_known.items())
-        found.append(Finding("What is possible?", (f"Best known fitness on each robot: {text}.",)))
+        found.append(Answer("What is possible?", "", (f"Best known fitness on each robot: {text}.",)))
     return found
 
 

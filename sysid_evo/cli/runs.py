@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,7 +12,7 @@ import evaluation
 import sysid_evo.plan
 from sysid_evo.cli.console import note, out, print_line, print_status, session, table_of
 from sysid_evo.cli.options import RUNS, Json, argument, option, run_folders
-from sysid_evo.errors import ArtefactError, PluginError
+from sysid_evo.errors import PluginError
 
 Folder = Annotated[Path, argument("Run folder", "RUN", values=run_folders)]
 
@@ -132,27 +131,19 @@ def report_again(run: Path, *, written: bool = True) -> evaluation.ComparisonRes
 
 def _figures(run: Path) -> dict[str, float | None]:
     """Return the error N of each model and the fitness of each controller, claimed and achieved, from a report."""
-    file = run / "report.json"
-    if not file.is_file():
+    if not (run / "report.json").is_file():
         return {}
-    try:
-        return _figures_in(json.loads(file.read_text(encoding="utf-8")))
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise ArtefactError(f"{file}: not a readable report; rebuild it with sysid-evo report {run}") from error
-
-
-def _figures_in(report: dict[str, Any]) -> dict[str, float | None]:
+    report = evaluation.load_report(run)
     found: dict[str, float | None] = {}
-    for model in (report["prediction"] or {"models": []})["models"]:
-        scores = {score["steps"]: score for score in model["horizons"]}
-        near = scores.get(evaluation.main_horizon(list(scores), report["data"]["system"]["dt"]))
-        if near and model["name"] != evaluation.PERSISTENCE:
-            found[f"N at {near['seconds']:g} s, {model['name']}"] = near["n"]
-    controllers = (report["controllers"] or {"controllers": []})["controllers"]
-    for one in controllers:
-        for figure in ("claimed", "achieved"):
-            if one[figure] is not None:
-                found[f"{one['name']}: {figure}"] = one[figure]["value"]
+    for model in () if report.prediction is None else report.prediction.models:
+        scores = {score.steps: score for score in model.scores if score.steps is not None}
+        near = scores.get(evaluation.main_horizon(list(scores), report.data.system.dt))
+        if near and model.name != evaluation.PERSISTENCE:
+            found[f"N at {near.seconds:g} s, {model.name}"] = near.n
+    for one in () if report.controllers is None else report.controllers.controllers:
+        for figure, estimate in (("claimed", one.claimed), ("achieved", one.achieved)):
+            if estimate is not None:
+                found[f"{one.name}: {figure}"] = estimate.value
     return found
 
 

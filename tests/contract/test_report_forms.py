@@ -3,12 +3,13 @@
 import html
 import json
 import re
+from datetime import date
 
 import pytest
 
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
-from evaluation.report import save_report, tables, to_json
+from evaluation.report import load_report, save_report, tables, to_json
 from evaluation.running import gather_results, report_of
 from sysid_evo.plan import Store, execute
 from tests.fixtures.faulty_recordings import Fault, drive
@@ -91,6 +92,7 @@ def test_a_page_has_the_day_of_the_run_and_is_drawn_again_with_the_same_bytes(co
         report_of(comparison, store, afresh=True)
         pages.append((store.path / "report.html").read_bytes())
     assert b"9 Sep 2001" in pages[0]
+    assert load_report(store.path).timings.finished_on == date(2001, 9, 9)
     assert pages[0] == pages[1]
 
 
@@ -99,10 +101,11 @@ def test_a_comparison_advises_on_the_model_that_predicts_best_and_documents_its_
     assert made.advice.model == made.prediction.ranking(20)[0].name == "late"
     assert made.advice.evaluated_on == "the test part"
     assert made.advice.remarks[0].topic == "late controls"
-    document = to_json(made)["prediction"]["models"][1]
+    document = to_json(made)
+    assert len(document["prediction"]["models"][1]["curve_interval"]) == 2
+    document = document["error_analysis"]["models"][1]
     assert document["residuals"]["channels"]["speed"]["controls"]["push"]["p"] < 0.05
     assert document["residuals"]["control_lags"] == list(range(-5, 21))
-    assert len(document["curve_interval"]) == 2
     assert document["episodes"][0]["name"] == "day 1[600:800]"
     assert set(document["episodes"][0]["fit_percent"]) == {"speed", "turn"}
     assert document["regions"][0]["region"]["channel"] in document["regions"][0]["words"]

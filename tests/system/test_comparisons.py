@@ -220,9 +220,9 @@ def test_families_that_come_later_judge_and_one_that_predicts_badly_is_not_polis
 
 def test_a_family_that_fails_is_a_row_with_its_reason_and_the_rest_goes_on_without_judges_of_another_family(tmp_path):
     report = run_in(tmp_path, "fails_in_fit", "linear", "ridged=linear(ridge=0.1)", ensembles=["fails_in_fit+linear"])
-    reasons = {failure.what: failure.reason for failure in report.all_failures}
+    reasons = {failure.step: failure.reason for failure in report.all_failures}
     assert reasons["fit fails_in_fit"] == "this family never fits"
-    assert {failure.what for failure in report.failures} == {"fit fails_in_fit"}  # what needed it is not told again
+    assert {failure.step for failure in report.failures} == {"fit fails_in_fit"}  # what needed it is not told again
     assert report.matrix.rows == ("linear", "ridged", "polished")
     assert report.matrix.champions[-1].against == ("linear", "ridged"), "polished on those that could be fitted"
     assert all(champion.scoring_models == () for champion in report.matrix.champions)
@@ -312,7 +312,7 @@ def test_a_condition_left_out_is_predicted_worse_and_another_name_of_it_makes_ot
     grip, ice = report.conditions["linear"]
     assert (grip.condition, ice.condition, grip.horizon) == ("grip", "ice", 20)
     assert all(one.across > 1.05 * one.within for one in (grip, ice))
-    assert to_json(report)["conditions"]["linear"][0]["condition"] == "grip"
+    assert to_json(report)["prediction"]["conditions"]["linear"][0]["condition"] == "grip"
     assert "Error N across conditions" in (tmp_path / "report.html").read_text()
     assert len(brief(report)) == len(brief(replace(report, conditions={}))) + 3
     assert compare(floors, out=tmp_path, **settings).conditions == report.conditions

@@ -47,7 +47,7 @@ def test_the_yardstick_of_a_comparison_is_a_row_of_its_matrix(call, stored_data)
     done = call.works("compare", "--data", stored_data, "--models", "linear", *robot, "--out", "out")
     assert "evolve emulated_car" in done.stderr
     report = json.loads((call.folder / "out" / "report.json").read_text())
-    assert [champion["name"] for champion in report["champions"]] == ["linear", "emulated_car"]
+    assert [one["name"] for one in report["evolution"]["controllers"]] == ["linear", "emulated_car"]
 
 
 @pytest.fixture(scope="module")

@@ -107,8 +107,8 @@ def test_a_report_is_made_again_of_what_the_run_holds(call, run_copy, stored_dat
     cells = {file: file.read_bytes() for file in (run_copy / "cells").glob("*.json")}
     assert "report.html" in call.works("report", "out").stdout
     after = report_in(run_copy)
-    assert after["settings"].pop("data") == [str(call.folder / "nowhere")]
-    assert before["settings"].pop("data") == [str(stored_data)]
+    assert after["run"]["settings"].pop("data") == [str(call.folder / "nowhere")]
+    assert before["run"]["settings"].pop("data") == [str(stored_data)]
     assert after == before
     assert {file: file.read_bytes() for file in (run_copy / "cells").glob("*.json")} == cells
     assert call.told("report", "out", "--json")["title"] == before["title"]
@@ -256,7 +256,10 @@ def test_a_family_that_fails_is_exit_code_3_with_a_report_its_reason_and_a_trace
     assert "What failed? 6 of 39 steps failed." in printed
     report = report_in(failed_run)
     rows = ("linear", "near", "linear+near", "polished", "pursuit")
-    assert [one["what"] for one in report["failures"]] == ["fit never_fits", *(f"{row} on never_fits" for row in rows)]
+    assert [one["step"] for one in report["run"]["failures"]] == [
+        "fit never_fits",
+        *(f"{row} on never_fits" for row in rows),
+    ]
     assert report["transfer"]["robot"] is None
     assert (failed_run / "report.html").is_file()
     log = [json.loads(line) for line in (failed_run / "log.jsonl").read_text().splitlines()]
@@ -301,7 +304,7 @@ def test_evolve_tells_its_claim_as_json_and_knows_a_model_by_name_and_by_file(ca
     assert told["claims"]["linear"]["trials"] == 100
     assert told["unit"] == "waypoints"
     cells = report_in(run_copy)["transfer"]["cells"]
-    (claimed,) = [cell for cell in cells if (cell["champion"], cell["column"]) == ("linear", "linear")]
+    (claimed,) = [cell for cell in cells if (cell["controller"], cell["column"]) == ("linear", "linear")]
     assert told["claims"]["linear"]["mean"] == pytest.approx(claimed["mean"])  # the same cells, found again
     assert all(cells_of(call(*command, file, "--dry-run")).values())
     assert call.refused(*command, "parametrised").says("'parametrised' is not among the models of out: linear")

@@ -170,7 +170,8 @@ def test_report_of_a_comparison_is_made_again_with_the_achieved_column(call, fai
     copy_run(failed_run, call.folder / "out")
     document = call.folder / "out" / "report.json"
     before = json.loads(document.read_text())
-    chosen = call.folder / "out" / before["controller_files"]["linear"]
+    files = {one["name"]: one["file"] for one in before["controllers"]["controllers"]}
+    chosen = call.folder / "out" / files["linear"]
     driven = call.works("drive", "--controller", chosen, "--robot", "emulated_car", "--trials", "3")
     assert "Report: out/report.html" in driven.stdout.splitlines()
     after = json.loads(document.read_text())
@@ -178,11 +179,12 @@ def test_report_of_a_comparison_is_made_again_with_the_achieved_column(call, fai
     assert after["transfer"]["robot"] == "emulated_car driven"
     assert after["transfer"]["columns"] == [*before["transfer"]["columns"], "emulated_car driven"]
     (cell,) = [c for c in after["transfer"]["cells"] if c["column"] == "emulated_car driven" and c["fitness"]]
-    assert (cell["champion"], cell["trials"]) == ("linear", 3)
+    assert (cell["controller"], cell["trials"]) == ("linear", 3)
     achieved = {c["name"]: c["achieved"] for c in after["controllers"]["controllers"]}
     assert achieved["linear"]["value"] == pytest.approx(cell["mean"])
     assert achieved["near"] is None
-    for part in ("failures", "prediction", "title"):
+    assert after["run"]["failures"] == before["run"]["failures"]
+    for part in ("prediction", "title"):
         assert after[part] == before[part]
     assert "emulated_car driven" in (call.folder / "out" / "report.html").read_text()
 

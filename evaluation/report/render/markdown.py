@@ -36,7 +36,7 @@ def _parts(story: Page, figures: str) -> Iterator[str]:
             yield f"    {one.command}"
     for finding in story.findings:
         yield f"**{_text(finding.question)}**"
-        yield "\n".join(f"- {_text(answer)}" for answer in finding.answers)
+        yield "\n".join(f"- {_text(answer)}" for answer in finding.sentences)
     if story.figure is not None and figures:
         yield from _figure(story.figure, figures, "##")
     if story.overview is not None:

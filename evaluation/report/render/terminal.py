@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from evaluation.formatting import folded
-from evaluation.report.elements import Finding, TableElement
+from evaluation.report.elements import Answer, TableElement
 
 WIDTH = 80
 GAP = 2
@@ -56,11 +56,14 @@ def plain_text(parts: Sequence[RenderableType]) -> str:
     return "\n".join(line.rstrip() for line in captured.get().splitlines())
 
 
-def findings_lines(findings: Sequence[Finding]) -> list[RenderableType]:
-    """Return questions and their answers."""
+def answer_lines(answers: Sequence[Answer]) -> list[RenderableType]:
+    """Return questions and their answers; sentences that are the whole answer have a line each."""
     return [
-        Group(Text(finding.question, style="bold cyan"), *(indented(answer) for answer in finding.answers))
-        for finding in findings
+        Group(
+            Text(one.question, style="bold cyan"),
+            *map(indented, (one.answer, one.sentence) if one.answer else one.sentences),
+        )
+        for one in answers
     ]
 
 

@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from evaluation.advice.evidence import ModelAdvice, Remark
+from evaluation.report.document import Number, Part
 from evaluation.report.elements import Section, TableElement
 from evaluation.results import ComparisonResults
 
@@ -59,3 +60,20 @@ def remark_lines(question: str, remarks: Sequence[Remark]) -> list[RenderableTyp
 def limits_question(advice: ModelAdvice) -> str:
     """Return the question that the advice answers."""
     return f"What limits {advice.model}, and what to record next?"
+
+
+class RemarkPart(Part):
+    """One thing that limits the best model; ``figures`` are the numbers in the sentence."""
+
+    topic: str
+    sentence: str
+    weight: Number
+    figures: dict[str, Number]
+
+
+class AdvicePart(Part):
+    """What limits the best model and what to record next, the most important first."""
+
+    model: str
+    evaluated_on: str
+    remarks: tuple[RemarkPart, ...]

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
-from typing import Any
 
 from evaluation.behaviour import DrivingSummary, driving_sentences, unit_of
 from evaluation.formatting import folded, lines, number, percent
+from evaluation.report.document import Number, Part
 from evaluation.report.elements import Section, TableElement, present
 from evaluation.results import ComparisonResults
 from evaluation.transfer.matrix import TransferMatrix
@@ -84,11 +83,34 @@ def _cell(one: DrivingSummary, name: str) -> str:
     return number(one.value(name), 2 if name == "speed" else 1) if unit_of(name) else percent(one.value(name))
 
 
-def behaviour_to_json(found: Sequence[DrivingSummary], matrix: TransferMatrix) -> list[dict[str, Any]]:
+class MeasurePart(Part):
+    """The mean over the trials that have the number, and its 95 % interval."""
+
+    value: Number
+    low: Number
+    high: Number
+    trials: int
+    unit: str
+
+
+class BehaviourPart(Part):
+    """What a controller does on one system where it was recorded, by measure, and the sentence on it."""
+
+    controller: str
+    column: str
+    trials: int
+    measures: dict[str, MeasurePart]
+    sentence: str
+
+
+def behaviour_parts(found: Sequence[DrivingSummary], matrix: TransferMatrix) -> list[BehaviourPart]:
     """Return the numbers of every controller on every system where it was recorded, and the sentences on it."""
     sentences = driving_sentences(found, matrix.robot)
-    rows = []
-    for one in found:
-        measures = {name: {**asdict(value), "unit": unit_of(name)} for name, value in one.measures.items()}
-        rows.append({**asdict(one), "measures": measures, "sentence": sentences.get(one.controller, "")})
-    return rows
+    return [
+        BehaviourPart.made_of(
+            one,
+            measures={name: MeasurePart.made_of(value, unit=unit_of(name)) for name, value in one.measures.items()},
+            sentence=sentences.get(one.controller, ""),
+        )
+        for one in found
+    ]

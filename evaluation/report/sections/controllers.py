@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,14 +24,15 @@ from evaluation.formatting import (
 )
 from evaluation.plots import plot_claimed_measured
 from evaluation.prediction.scores import Prediction
+from evaluation.report.document import EstimatePart, Number, Part
 from evaluation.report.elements import (
     HALF,
     NARROW,
+    Answer,
     Drawing,
     DrawingPair,
     FigureElement,
     Fold,
-    Headline,
     Section,
     TableElement,
     Tone,
@@ -42,9 +42,9 @@ from evaluation.report.sections.evolution import behaviour_class_table, fitness_
 from evaluation.report.sections.transfer import further_measures_table, paper_sheet, transfer_sheet
 from evaluation.results import ComparisonResults
 from evaluation.sufficiency import beats_rest, gain_over_rest, guess_warning, guessed_share, none_beats_rest
-from evaluation.transfer.forecast import FORECAST_RULE, Forecast, ModelForecast
+from evaluation.transfer.forecast import FORECAST_RULE, Forecast, ForecastRule, ModelForecast
 from evaluation.transfer.matrix import TransferMatrix
-from evaluation.transfer.summary import ControllerSummary, TransferSummary
+from evaluation.transfer.summary import ControllerSummary, RankCorrelation, TransferSummary
 from sysid_evo.validation.estimates import CONFIDENCE, Estimate
 
 if TYPE_CHECKING:
@@ -360,16 +360,17 @@ def _command(report: ComparisonResults, *words: str) -> str:
     return shlex.join(["sysid-evo", *words, *plugins])
 
 
-def headline(report: ComparisonResults) -> Headline:
+def headline(report: ComparisonResults) -> Answer:
     """Return which controller to use, in one answer."""
     question, summary = "Which controller to use?", report.transfer
     if summary is None:
-        return Headline(question, "Not known", _absent(report)[0], "open")
+        return Answer(question, "Not known", (_absent(report)[0],))
     assert report.matrix is not None
     if none_beats_rest(report.matrix) or summary.pick in (*report.matrix.at_rest, *report.matrix.at_random):
-        return Headline(question, "None", f"{LOOK_AT_THE_REWARD} {_to_record(report)}".rstrip(), "warn")
+        said = (LOOK_AT_THE_REWARD, _to_record(report))
+        return Answer(question, "None", tuple(filter(None, said)), "warn")
     if summary.pick is None:
-        return Headline(question, "Not known", NO_OTHER_FAMILY, "open")
+        return Answer(question, "Not known", (NO_OTHER_FAMILY,))
     pick = summary.controller(summary.pick)
     unit = f" {report.matrix.unit}" if report.matrix.unit else ""
     found = report.forecasts.get(pick.name)
@@ -390,7 +391,7 @@ def headline(report: ComparisonResults) -> Headline:
     useless = beats_rest(report.matrix, pick.name) is False
     tone: Tone = "bad" if pick.exploited or useless else "warn" if guess and not kept else "good"
     command = use_command(report, pick.name) or ""
-    return Headline(question, pick.name, " ".join(filter(None, (*sentences, guess))), tone, command)
+    return Answer(question, pick.name, tuple(filter(None, (*sentences, guess))), tone, command)
 
 
 def _share_of(pick: ControllerSummary, summary: TransferSummary) -> str:
@@ -483,28 +484,90 @@ def seeds_unknown(summary: TransferSummary) -> str:
     return POLISHED.format(", ".join(c.name for c in single)) if single else ""
 
 
-def summary_to_json(summary: TransferSummary) -> dict[str, Any]:
-    """Return what the document holds under ``controllers``."""
-    return {
-        "controllers": [{**asdict(c), "exploited": c.exploited} for c in summary.controllers],
-        "pick": summary.pick,
-        "best_on": summary.best_on,
-        "correlations": [asdict(correlation) for correlation in summary.correlations],
-    }
+class ControllerForecastPart(Part):
+    """Expected fitness on the robot, and a 90 % interval; the weights of the models add up to 1.
+
+    ``covers_achieved``: whether the interval contains what was achieved; null without a measurement.
+    """
+
+    value: Number
+    low: Number
+    high: Number
+    weights: dict[str, Number]
+    covers_achieved: bool | None
 
 
-def forecast_to_json(report: ComparisonResults) -> dict[str, Any]:
-    """Return what the document holds under ``forecast``."""
-    achieved = {one.name: one.achieved for one in (report.transfer.controllers if report.transfer else ())}
-    return {
-        "rule": asdict(FORECAST_RULE),
-        "controllers": [
-            {
-                **asdict(one),
-                "achieved": None if (real := achieved.get(one.controller)) is None else real.value,
-                "held": None if real is None else one.covers(real),
-            }
-            for one in report.forecasts.values()
-        ],
-        "models": [{**asdict(one), "kept": one.kept} for one in report.model_forecasts.values()],
-    }
+class ControllerPart(Part):
+    """One controller: fitness where it was evolved, elsewhere, and on the robot; its file and the command to use it.
+
+    ``worst_on`` is the system where it is lowest. File and command are relative to the run folder, empty if not known.
+    """
+
+    name: str
+    against: tuple[str, ...]
+    aggregate: str
+    forecast: ControllerForecastPart | None
+    claimed: EstimatePart | None
+    other_models: EstimatePart | None
+    other_families: EstimatePart | None
+    achieved: EstimatePart | None
+    exploitation_gap: EstimatePart | None
+    reality_gap: EstimatePart | None
+    kept: EstimatePart | None
+    worst: EstimatePart | None
+    worst_on: str
+    regret: EstimatePart | None
+    other_family_models: tuple[str, ...]
+    evolved_on_robot: bool
+    seed_fitness: tuple[Number, ...]
+    polished: bool
+    rest_fitness: Number
+    exploited: bool | None
+    file: str
+    command: str
+
+
+class ModelForecastPart(Part):
+    """Means over the controllers evolved in the model alone; ``kept`` is value, low and high as shares of the claim."""
+
+    model: str
+    controllers: tuple[str, ...]
+    claimed: Number
+    value: Number
+    low: Number
+    high: Number
+    kept: tuple[Number, Number, Number] | None
+
+
+class ControllersPart(Part):
+    """All controllers, the one chosen without the robot (``pick``), and the rule of the forecast."""
+
+    controllers: tuple[ControllerPart, ...]
+    pick: str | None
+    best_on: dict[str, str | None]
+    correlations: tuple[RankCorrelation, ...]
+    forecast_rule: ForecastRule
+    model_forecasts: tuple[ModelForecastPart, ...]
+
+    @classmethod
+    def of(
+        cls, summary: TransferSummary, found: Mapping[str, Forecast], report: ComparisonResults | None = None
+    ) -> ControllersPart:
+        """Return the controllers with their forecasts; files, commands and models are known with a report."""
+        controllers = []
+        for one in summary.controllers:
+            expected = found.get(one.name)
+            covers = None if expected is None or one.achieved is None else expected.covers(one.achieved)
+            forecast = expected and ControllerForecastPart.made_of(expected, covers_achieved=covers)
+            file = "" if report is None else report.controllers.get(one.name, "")
+            command = "" if report is None else use_command(report, one.name) or ""
+            controllers.append(ControllerPart.made_of(one, forecast=forecast, file=file, command=command))
+        models = () if report is None else report.model_forecasts.values()
+        return cls(
+            controllers=tuple(controllers),
+            pick=summary.pick,
+            best_on=dict(summary.best_on),
+            correlations=summary.correlations,
+            forecast_rule=FORECAST_RULE,
+            model_forecasts=tuple(map(ModelForecastPart.model_validate, models)),
+        )

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from evaluation.formatting import listed, number, percent
+from evaluation.report.document import Number, Part
 from evaluation.report.elements import Section, TableElement
-from evaluation.results import ComparisonResults
+from evaluation.results import ComparisonResults, EpisodeSummary
 
 
 def section(report: ComparisonResults) -> Section:
@@ -61,3 +64,46 @@ def channel_list(report: ComparisonResults) -> TableElement:
         tuple(rows),
         details=True,
     )
+
+
+class ChannelPart(Part):
+    """A channel of a system; ``low`` and ``high`` are null where there is no limit."""
+
+    name: str
+    unit: str
+    low: Number
+    high: Number
+    levels: tuple[float, ...] | None
+    neutral: float
+    period: float | None = None
+    description: str = ""
+
+
+class SystemPart(Part):
+    """Names, units and limits of the channels; ``dt`` in s."""
+
+    name: str
+    dt: float
+    states: tuple[ChannelPart, ...]
+    controls: tuple[ChannelPart, ...]
+    motion: dict[str, Any] | None
+
+
+class DataPart(Part):
+    """The data that models were fitted to and tested on, and notes on data and tests.
+
+    ``fingerprint`` is the SHA-256 of the training data, ``moving`` the share of the samples in motion.
+    """
+
+    name: str
+    fingerprint: str
+    system: SystemPart
+    training: tuple[EpisodeSummary, ...]
+    test: tuple[EpisodeSummary, ...]
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, report: ComparisonResults) -> DataPart:
+        """Return the data of a report."""
+        system = SystemPart.model_validate(report.data.system.to_dict())
+        return cls.made_of(report.data, system=system, notes=(*report.notes, *report.task_notes))

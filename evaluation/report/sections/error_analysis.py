@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from evaluation.formatting import horizon_name, lines, percent, three_digits
 from evaluation.plots import plot_residual_correlation
-from evaluation.prediction.regions import worst_region
+from evaluation.prediction.regions import Region, worst_region
 from evaluation.prediction.residuals import AHEAD, LAGS, LEVEL, Residuals
-from evaluation.prediction.scores import PERSISTENCE, EpisodeError, ModelPrediction, Prediction
+from evaluation.prediction.scores import PERSISTENCE, ModelPrediction, Prediction
+from evaluation.report.document import Interval, Number, Numbers, Part
 from evaluation.report.elements import THIRD, Drawing, DrawingPair, FigureElement, TableElement
 from sysid_evo.system import System
 
@@ -136,32 +136,107 @@ def episode_error_sheet(prediction: Prediction) -> TableElement | None:
     )
 
 
-def residuals_to_json(found: Residuals, system: System) -> dict[str, Any]:
-    """Return the residuals of a model for the document."""
-    channels = {
-        name: {
-            "white": found.white[i],
-            "white_p": found.white_p[i],
-            "autocorrelation": found.autocorrelation[:, i],
-            "band": found.band[:, i],
-            "controls": {
-                control: {
-                    "p": found.cross_p[j, i],
-                    "correlation": found.cross[:, j, i],
-                    "band": found.cross_band[:, j, i],
-                }
-                for j, control in enumerate(system.control_names)
-            },
+class ControlCorrelationPart(Part):
+    """Correlation of the one-step residual with a control, at ``control_lags``; its probability if unrelated, ``p``."""
+
+    p: Number
+    correlation: Numbers
+    band: Numbers
+
+
+class ResidualPart(Part):
+    """Correlation of the one-step residual of a state with earlier ones and with controls, with its 95 % bands."""
+
+    white: bool
+    white_p: Number
+    autocorrelation: Numbers
+    band: Numbers
+    controls: dict[str, ControlCorrelationPart]
+
+
+class ResidualsPart(Part):
+    """One-step residuals of a model, by state; lags in steps."""
+
+    samples: int
+    control_lags: tuple[int, ...]
+    channels: dict[str, ResidualPart]
+
+    @classmethod
+    def of(cls, found: Residuals, system: System) -> ResidualsPart:
+        """Return the residuals with the names of states and controls."""
+        channels = {
+            name: ResidualPart(
+                white=bool(found.white[i]),
+                white_p=found.white_p[i],
+                autocorrelation=found.autocorrelation[:, i],
+                band=found.band[:, i],
+                controls={
+                    control: ControlCorrelationPart(
+                        p=found.cross_p[j, i], correlation=found.cross[:, j, i], band=found.cross_band[:, j, i]
+                    )
+                    for j, control in enumerate(system.control_names)
+                },
+            )
+            for i, name in enumerate(system.state_names)
         }
-        for i, name in enumerate(system.state_names)
-    }
-    return {"samples": found.samples, "control_lags": list(range(-AHEAD, LAGS + 1)), "channels": channels}
+        return cls(samples=found.samples, control_lags=tuple(range(-AHEAD, LAGS + 1)), channels=channels)
 
 
-def episode_to_json(episode: EpisodeError, horizons: Sequence[int], system: System) -> dict[str, Any]:
-    """Return the errors of a model in one test episode for the document."""
-    return {
-        "name": episode.name,
-        "n": {str(horizon): n for horizon, n in zip(horizons, episode.n, strict=True)},
-        "fit_percent": dict(zip(system.state_names, episode.fit, strict=True)),
-    }
+class RegionErrorPart(Part):
+    """N of the windows that start in a region, a ``share`` of all, and its ratio to the N of all windows."""
+
+    words: str
+    region: Region
+    share: Number
+    n: Number
+    ratio: Number
+    interval: Interval
+
+
+class EpisodeErrorPart(Part):
+    """Errors of one test episode: N by the number of steps, and fit % of each state over the whole episode."""
+
+    name: str
+    n: dict[str, Number]
+    fit_percent: dict[str, Number]
+
+
+class ModelErrorsPart(Part):
+    """Where the errors of one model are, and how its residuals are correlated."""
+
+    name: str
+    residuals: ResidualsPart | None
+    regions: tuple[RegionErrorPart, ...]
+    episodes: tuple[EpisodeErrorPart, ...]
+
+    @classmethod
+    def of(cls, model: ModelPrediction, prediction: Prediction) -> ModelErrorsPart:
+        """Return the errors of a model with the names of states and horizons."""
+        system, horizons = prediction.cases.system, [str(horizon) for horizon in prediction.cases.horizons]
+        return cls.made_of(
+            model,
+            residuals=None if model.residuals is None else ResidualsPart.of(model.residuals, system),
+            regions=[
+                RegionErrorPart.made_of(one, ratio=one.ratio.value, interval=one.ratio.interval)
+                for one in model.regions
+            ],
+            episodes=[
+                EpisodeErrorPart(
+                    name=one.name,
+                    n=dict(zip(horizons, one.n, strict=True)),
+                    fit_percent=dict(zip(system.state_names, one.fit, strict=True)),
+                )
+                for one in model.episodes
+            ],
+        )
+
+
+class ErrorAnalysisPart(Part):
+    """Where the errors of each model are: regions, episodes, correlation of one-step residuals."""
+
+    models: tuple[ModelErrorsPart, ...]
+
+    @classmethod
+    def of(cls, prediction: Prediction) -> ErrorAnalysisPart:
+        """Return the analysis of all models."""
+        return cls(models=tuple(ModelErrorsPart.of(model, prediction) for model in prediction.models))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from evaluation.formatting import lines, three_digits
 from evaluation.plots import plot_fitness
+from evaluation.report.document import Number, Numbers, Part
 from evaluation.report.elements import THIRD, Drawing, DrawingPair, FigureElement, TableElement
 from evaluation.transfer.matrix import TransferMatrix
 from sysid_evo.evolution import Champion, Finalist, ranking_value
@@ -67,7 +68,48 @@ def behaviour_class_table(matrix: TransferMatrix) -> TableElement | None:
     )
 
 
-def champion_to_json(champion: Champion) -> dict[str, Any]:
-    """Return the entry of a controller in ``champions`` of the document."""
-    known = {name: value for name, value in champion.to_dict().items() if name != "system"}
-    return {**known, "parameters": champion.parameters, "history": champion.history}
+class FinalistPart(Part):
+    """The best of one behaviour class of a repeat."""
+
+    behaviour_class: str
+    repeat: int
+    fitness: Number
+    forecast: Number
+
+
+class SearchPart(Part):
+    """How one controller was found; ``history`` has best, mean and worst fitness of each generation.
+
+    ``estimator_delay`` in s; ``seed_fitness`` is that of the best finalist of each evolution run.
+    """
+
+    name: str
+    against: tuple[str, ...]
+    aggregate: str
+    seed: int
+    controller: str
+    task: str
+    estimator_delay: float
+    noise: str
+    penalty: str
+    seed_fitness: tuple[Number, ...]
+    scoring_models: tuple[str, ...]
+    polished: bool
+    finalists: tuple[FinalistPart, ...]
+    parameters: Numbers
+    history: tuple[Numbers, ...]
+
+
+class EvolutionPart(Part):
+    """How each controller was found."""
+
+    controllers: tuple[SearchPart, ...]
+
+    @classmethod
+    def of(cls, matrix: TransferMatrix) -> EvolutionPart:
+        """Return how the controllers of a matrix were found."""
+        found = (
+            {**champion.to_dict(), "parameters": champion.parameters, "history": tuple(champion.history)}
+            for champion in matrix.champions
+        )
+        return cls(controllers=tuple(map(SearchPart.model_validate, found)))

@@ -10,6 +10,7 @@ import numpy as np
 from evaluation.formatting import by_error, few, three_digits
 from evaluation.linearisation import FASTEST, LinearResponse, OperatingPoint, least_squares
 from evaluation.plots import plot_responses
+from evaluation.report.document import Interval, Number, Options, Part
 from evaluation.report.elements import FigureElement, Fold, Item, Section, TableElement, wide_and_narrow
 from evaluation.report.sections.exploitability import trust_of
 from evaluation.results import ComparisonResults, ModelSummary
@@ -169,3 +170,34 @@ def _parameter(row: Mapping[str, Any]) -> tuple[str, ...]:
     bounds = [f"{end:g}" if end is not None and np.isfinite(end) else "–" for end in (row.get("low"), row.get("high"))]
     determined = {True: "yes", False: "no", None: "–"}[row.get("determined")]
     return str(row["parameter"]), text, str(row.get("unit") or "–"), " to ".join(bounds), determined
+
+
+class PolesPart(Part):
+    """Poles of a model linearised at the mean of the training data, discrete, as real and imaginary part."""
+
+    dt: Number
+    poles: tuple[Interval, ...]
+
+
+class ModelPart(Part):
+    """A model: its hyper-parameters, and what it learned, empty for a family without it.
+
+    ``not_linearised`` is the reason why there are no poles.
+    """
+
+    name: str
+    family: str
+    knowledge: str
+    parameters: Options
+    equations: tuple[str, ...]
+    parameters_table: tuple[Options, ...]
+    candidates: tuple[dict[str, str], ...]
+    linear: PolesPart | None
+    not_linearised: str
+
+    @classmethod
+    def of(cls, model: ModelSummary) -> ModelPart:
+        """Return a model with its poles alone of what was linearised."""
+        linear = model.linear
+        poles = () if linear is None else tuple((z.real, z.imag) for z in linear.poles)
+        return cls.made_of(model, linear=None if linear is None else PolesPart(dt=linear.dt, poles=poles))

@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from evaluation.formatting import few, horizon_name, lines, number, percent, three_digits
 from evaluation.plots import plot_free_run, plot_horizon_curve
+from evaluation.prediction.cases import PredictionProtocol
 from evaluation.prediction.scores import (
     PERSISTENCE,
     ConditionError,
     Difference,
+    Divergence,
     ErrorScore,
     ModelPrediction,
     Prediction,
 )
+from evaluation.report.document import Interval, Number, Numbers, Part
 from evaluation.report.elements import (
+    Answer,
     DrawingPair,
     FigureElement,
     Fold,
-    Headline,
     Section,
     TableElement,
     present,
@@ -30,11 +33,9 @@ from evaluation.report.elements import (
 )
 from evaluation.report.sections.error_analysis import (
     episode_error_sheet,
-    episode_to_json,
     region_sheet,
     residual_picture,
     residual_sheet,
-    residuals_to_json,
 )
 from evaluation.results import ComparisonResults
 from evaluation.sufficiency import (
@@ -332,20 +333,20 @@ def _episode(prediction: Prediction, run: int, best: Sequence[str], rest: Sequen
     return replace(pair, title=name)
 
 
-def headline(report: ComparisonResults) -> Headline:
+def headline(report: ComparisonResults) -> Answer:
     """Return which models predict, in one answer."""
     question, prediction = "Which models predict?", report.prediction
     if prediction is None:
-        return Headline(question, "Not known", "No prediction was made.", "open")
+        return Answer(question, "Not known", ("No prediction was made.",))
     horizon = prediction.cases.main_horizon
     models = scored(prediction, horizon) if prediction.horizons else ()
     if not models:
-        return Headline(question, "Not known", "No model has a score; the notes and failures give the reasons.", "open")
+        return Answer(question, "Not known", ("No model has a score; the notes and failures give the reasons.",))
     best = models[0]
     score = _score(best, horizon)
     if few_data := too_little(prediction, horizon):
         lowest = f"The lowest error, N {three_digits(score.n)}, is that of {best.name}."
-        return Headline(question, "Not known", f"{few_data} {lowest}", "open")
+        return Answer(question, "Not known", (few_data, lowest))
     between = " to ".join(map(three_digits, score.estimate.interval))
     size = f"{three_digits(score.n)} ({between})"
     where = _at(prediction, horizon)
@@ -357,26 +358,27 @@ def headline(report: ComparisonResults) -> Headline:
             why = "No model is significantly better than no change (persistence)"
         else:
             why = "No model is significantly better than predicting the mean, which has 1"
-        lowest = f"{where}, the lowest error N is {size}, of {best.name}. {why}.{_tried(report)}"
-        return Headline(question, "None", lowest, "bad")
+        lowest = f"{where}, the lowest error N is {size}, of {best.name}."
+        return Answer(question, "None", tuple(filter(None, (lowest, f"{why}.", _tried(report)))), "bad")
     equal = [m.name for m in models[1:] if m.name in good and no_worse(prediction, m, best, horizon)]
     leaders = [best.name, *equal]
     beaten = [model.name for model in models if model.name not in good]
-    count = f" {len(good)} of {len(models)} models predict" if len(models) > 1 else ""
+    count = f"{len(good)} of {len(models)} models predict" if len(models) > 1 else ""
     count += f", not {few(beaten)}." if count and beaten else "." if count else ""
     same = "; no significant difference between them" if len(leaders) > 1 else ""
     whose = "the lowest error N" if len(leaders) > 1 else "its error N"
-    return Headline(question, few(leaders), f"{where}, {whose} is {size}{same}.{count}{_tried(report)}", "good")
+    said = (f"{where}, {whose} is {size}{same}.", count, _tried(report))
+    return Answer(question, few(leaders), tuple(filter(None, said)), "good")
 
 
 def _tried(report: ComparisonResults) -> str:
-    """Return a sentence on the families that were tried because no default family predicted, with a space before it."""
+    """Return a sentence on the families that were tried because no default family predicted, empty if none were."""
     tried = report.settings.get("tried_models", ())
     if not tried:
         return ""
     added = [name for name in tried if name in {model.name for model in report.models}]
     result = f"{added[0]} is, and was added" if added else "none is"
-    return f" No default family is better than predicting the mean; of {listed(tried)}, tried in this order, {result}."
+    return f"No default family is better than predicting the mean; of {listed(tried)}, tried in this order, {result}."
 
 
 def scored(prediction: Prediction, horizon: int | None) -> tuple[ModelPrediction, ...]:
@@ -394,86 +396,158 @@ def _score(model: ModelPrediction, horizon: int | None) -> ErrorScore:
     return score
 
 
-def prediction_to_json(prediction: Prediction) -> dict[str, Any]:
-    """Return the key ``prediction`` of the document."""
-    cases = prediction.cases
-    return {
-        "protocol": asdict(cases.protocol),
-        "description": cases.protocol.describe(cases.system.dt),
-        "windows": len(cases.windows),
-        "std": dict(zip(cases.system.state_names, cases.std, strict=True)),
-        "rms": dict(zip(cases.system.state_names, cases.rms, strict=True)),
-        "models": [_model_to_json(model, prediction) for model in prediction.models],
-        "differences": [
-            {
-                "first": difference.first,
-                "second": difference.second,
-                "steps": difference.horizon,
-                "difference": difference.difference.value,
-                "interval": list(difference.difference.interval),
-                "verdict": difference.verdict,
-            }
+class ChannelErrorPart(Part):
+    """Errors of one state; ``rmse`` and ``error_std`` in its ``unit``."""
+
+    unit: str
+    rmse: Number
+    error_std: Number
+    relative_percent: Number
+    nrmse: Number
+    fit_percent: Number
+
+
+class ScorePart(Part):
+    """Errors after ``steps``, null over whole episodes; ``n`` is the mean of RMSE / standard deviation of the states.
+
+    The interval is null where there is too little test data for one.
+    """
+
+    steps: int | None
+    seconds: Number
+    initialisation: str
+    samples: int
+    n: Number
+    interval: Interval
+    channels: dict[str, ChannelErrorPart]
+
+    @classmethod
+    def of(cls, score: ErrorScore, prediction: Prediction) -> ScorePart:
+        """Return a score with the names of the states."""
+        system = prediction.cases.system
+        each = ("rmse", "error_std", "relative_percent", "nrmse", "fit_percent")
+        return cls.made_of(
+            score,
+            steps=score.horizon,
+            seconds=None if score.horizon is None else score.horizon * system.dt,
+            initialisation="measured states and controls",
+            interval=score.estimate.interval if tells_apart(prediction, score.horizon) else (None, None),
+            channels={
+                channel.name: ChannelErrorPart(unit=channel.unit, **{name: getattr(score, name)[i] for name in each})
+                for i, channel in enumerate(system.states)
+            },
+        )
+
+
+class CoveragePart(Part):
+    """Share of the measured states inside the prediction intervals of a model; ``aim`` is the nominal one."""
+
+    steps: int
+    seconds: float
+    samples: int
+    aim: float
+    mean: Number
+    calibrated: bool
+    channels: dict[str, Number]
+
+
+class ModelPredictionPart(Part):
+    """Prediction errors of one model; the ``reason`` says why there are none. ``curve`` is N after every step."""
+
+    name: str
+    family: str
+    reason: str | None
+    scores: tuple[ScorePart, ...]
+    free_run: ScorePart | None
+    curve: Numbers
+    curve_interval: tuple[Numbers, Numbers]
+    divergence: Divergence | None
+    coverage: tuple[CoveragePart, ...]
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, model: ModelPrediction, prediction: Prediction) -> ModelPredictionPart:
+        """Return the errors of a model, with intervals where the data suffice."""
+        system, last = prediction.cases.system, max(prediction.cases.horizons, default=None)
+        band = model.curve_interval if tells_apart(prediction, last) else np.full_like(model.curve_interval, np.nan)
+        return cls.made_of(
+            model,
+            reason=model.reason or None,
+            scores=[ScorePart.of(score, prediction) for score in model.scores],
+            free_run=None if model.free_run is None else ScorePart.of(model.free_run, prediction),
+            curve_interval=(band[0], band[1]),
+            coverage=[
+                CoveragePart.made_of(
+                    held,
+                    steps=held.horizon,
+                    seconds=held.horizon * system.dt,
+                    aim=held.share,
+                    channels=dict(zip(system.state_names, held.inside, strict=True)),
+                )
+                for held in model.coverage
+            ],
+        )
+
+
+class DifferencePart(Part):
+    """N of the first minus N of the second model, paired; an interval that contains 0 is no significant difference."""
+
+    first: str
+    second: str
+    steps: int | None
+    difference: Number
+    interval: Interval
+    verdict: str
+
+
+class ConditionErrorPart(Part):
+    """N in the test data of one condition: fitted with it (``within``), and without (``across``)."""
+
+    condition: str
+    horizon: int
+    within: Number
+    across: Number
+
+
+class PredictionPart(Part):
+    """Prediction errors of all models; ``std`` and ``rms`` of each measured state, ``conditions`` by model."""
+
+    protocol: PredictionProtocol
+    description: str
+    windows: int
+    std: dict[str, Number]
+    rms: dict[str, Number]
+    models: tuple[ModelPredictionPart, ...]
+    differences: tuple[DifferencePart, ...]
+    conditions: dict[str, tuple[ConditionErrorPart, ...]]
+
+    @classmethod
+    def of(cls, prediction: Prediction, conditions: Mapping[str, Sequence[ConditionError]]) -> PredictionPart:
+        """Return the errors of all models, and those within and across conditions."""
+        cases = prediction.cases
+        differences = [
+            found
             for horizon in prediction.horizons
             if tells_apart(prediction, horizon)
-            for difference in prediction.differences(horizon)
-        ],
-    }
-
-
-def _model_to_json(model: ModelPrediction, prediction: Prediction) -> dict[str, Any]:
-    horizons, system = prediction.cases.horizons, prediction.cases.system
-    last = max(horizons, default=None)
-    band = model.curve_interval if tells_apart(prediction, last) else np.full_like(model.curve_interval, np.nan)
-    return {
-        "name": model.name,
-        "family": model.family,
-        "reason": model.reason or None,
-        "horizons": [_score_to_json(score, prediction) for score in model.scores],
-        "free_run": None if model.free_run is None else _score_to_json(model.free_run, prediction),
-        "curve": model.curve,
-        "curve_interval": band,
-        "residuals": None if model.residuals is None else residuals_to_json(model.residuals, system),
-        "regions": [
-            {"words": one.words, **asdict(one), "ratio": one.ratio.value, "interval": list(one.ratio.interval)}
-            for one in model.regions
-        ],
-        "episodes": [episode_to_json(episode, horizons, system) for episode in model.episodes],
-        "divergence": None if model.divergence is None else asdict(model.divergence),
-        "coverage": [
-            {
-                "steps": held.horizon,
-                "seconds": held.horizon * system.dt,
-                "samples": held.samples,
-                "aim": held.share,
-                "mean": held.mean,
-                "honest": held.calibrated,
-                "channels": dict(zip(system.state_names, held.inside, strict=True)),
-            }
-            for held in model.coverage
-        ],
-        "notes": model.notes,
-    }
-
-
-def _score_to_json(score: ErrorScore, prediction: Prediction) -> dict[str, Any]:
-    system = prediction.cases.system
-    channels = {
-        channel.name: {
-            "unit": channel.unit,
-            "rmse": score.rmse[i],
-            "error_std": score.error_std[i],
-            "relative_percent": score.relative_percent[i],
-            "nrmse": score.nrmse[i],
-            "fit_percent": score.fit_percent[i],
-        }
-        for i, channel in enumerate(system.states)
-    }
-    return {
-        "steps": score.horizon,
-        "seconds": None if score.horizon is None else score.horizon * system.dt,
-        "initialisation": "measured states and controls",
-        "samples": score.samples,
-        "n": score.n,
-        "interval": list(score.estimate.interval) if tells_apart(prediction, score.horizon) else [None, None],
-        "channels": channels,
-    }
+            for found in prediction.differences(horizon)
+        ]
+        return cls(
+            protocol=cases.protocol,
+            description=cases.protocol.describe(cases.system.dt),
+            windows=len(cases.windows),
+            std=dict(zip(cases.system.state_names, cases.std, strict=True)),
+            rms=dict(zip(cases.system.state_names, cases.rms, strict=True)),
+            models=tuple(ModelPredictionPart.of(model, prediction) for model in prediction.models),
+            differences=tuple(
+                DifferencePart.made_of(
+                    found,
+                    steps=found.horizon,
+                    difference=found.difference.value,
+                    interval=found.difference.interval,
+                )
+                for found in differences
+            ),
+            conditions={
+                name: tuple(map(ConditionErrorPart.model_validate, found)) for name, found in conditions.items()
+            },
+        )

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from datetime import date
 from typing import Any
 
+from evaluation.report.document import Options, Part
 from evaluation.report.elements import Item, Section, TableElement, present
-from evaluation.results import ComparisonResults
+from evaluation.results import ComparisonResults, Failure
 
 SHORTEST = 0.05
 """Seconds below which the time of a step is left out."""
@@ -32,7 +34,7 @@ def section(report: ComparisonResults) -> Section | None:
 
 def failure_table(report: ComparisonResults) -> TableElement | None:
     """Return the steps that failed, and why; None if none did."""
-    rows = tuple((failure.what, failure.reason) for failure in report.all_failures)
+    rows = tuple((failure.step, failure.reason) for failure in report.all_failures)
     return TableElement("Failed steps", ("step", "reason"), rows, prose=True) if rows else None
 
 
@@ -46,3 +48,23 @@ def flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
             text = value if isinstance(value, str) else json.dumps(value, default=str)
             rows.append((f"{prefix}{key}", text))
     return rows
+
+
+class TimingsPart(Part):
+    """Seconds of each step, and the day of the last computed one, in UTC: they differ between two equal runs."""
+
+    cells: dict[str, float]
+    finished_on: date | None
+
+
+class RunPart(Part):
+    """How the run was made: failed steps with reasons, the experiment with every name resolved, versions."""
+
+    failures: tuple[Failure, ...]
+    settings: Options
+    versions: dict[str, str]
+
+    @classmethod
+    def of(cls, report: ComparisonResults) -> RunPart:
+        """Return how a report was made."""
+        return cls.made_of(report, failures=report.all_failures)

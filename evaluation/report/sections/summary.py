@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from evaluation.formatting import percent
-from evaluation.report.elements import Finding, Headline
+from evaluation.report.elements import Answer
 from evaluation.report.sections import controllers, exploitability, prediction
 from evaluation.report.sections.advice import limits_question
 from evaluation.report.sections.controllers import open_questions
@@ -51,7 +51,7 @@ def warnings(report: ComparisonResults) -> list[str]:
         return []
     first = failures[0]
     reason = first.reason.splitlines()[0] if first.reason else "failed"
-    return [f"{_failed(report)}; all reasons are under This run. The first: {first.what}: {reason}"]
+    return [f"{_failed(report)}; all reasons are under This run. The first: {first.step}: {reason}"]
 
 
 def _failed(report: ComparisonResults) -> str:
@@ -63,7 +63,7 @@ def _failed(report: ComparisonResults) -> str:
     return f"{of} failed"
 
 
-def headlines(report: ComparisonResults) -> tuple[Headline, ...]:
+def headlines(report: ComparisonResults) -> tuple[Answer, ...]:
     """Return the three answers at the top of the page, those that are not known last."""
     found = controllers.headline(report), exploitability.headline(report), prediction.headline(report)
     return tuple(sorted(found, key=lambda one: one.tone == "open"))
@@ -73,23 +73,23 @@ SAID = 2
 """Number of remarks of the advice that the terminal prints."""
 
 
-def verdict(report: ComparisonResults) -> tuple[Finding, ...]:
+def verdict(report: ComparisonResults) -> tuple[Answer, ...]:
     """Return the answers, what is not known, what limits the best model, and what failed, for a terminal."""
-    findings = [Finding(one.question, (one.answer, one.sentence)) for one in headlines(report)]
+    findings = list(headlines(report))
     if is_empty(report):
         both = "" if report.matrix is None else " and no controller could be run"
         said = f"Nothing: no model could be scored{both}. Look at the failures and notes, or record more data."
         compared = report.prediction is not None or report.matrix is not None
-        findings = [Finding("What was found?", (said if compared else "Nothing was compared.",))]
+        findings = [Answer("What was found?", "", (said if compared else "Nothing was compared.",))]
     elif report.transfer is not None and (unknown := open_questions(report.transfer)):
-        findings.append(Finding("What is not known?", unknown))
+        findings.append(Answer("What is not known?", "", unknown))
     if report.advice is not None and report.advice.remarks:
         remarks = tuple(remark.sentence for remark in report.advice.remarks[:SAID])
-        findings.append(Finding(limits_question(report.advice), remarks))
+        findings.append(Answer(limits_question(report.advice), "", remarks))
     if report.all_failures:
         sentence = _failed(report)
         question = "What failed?" if report.finished else "What is missing?"
-        findings.append(Finding(question, (f"{sentence[0].upper()}{sentence[1:]}.",)))
+        findings.append(Answer(question, "", (f"{sentence[0].upper()}{sentence[1:]}.",), "warn"))
     return tuple(findings)
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from evaluation.formatting import by_error, folded, lines, number, percent, plus_minus, three_digits
+from evaluation.report.document import Interval, Number, Numbers, Part
 from evaluation.report.elements import Shading, TableElement
 from evaluation.transfer.matrix import BY_HAND, NOT_RUN, TransferMatrix, TransferResult
 from evaluation.transfer.summary import MatrixEstimates, other_family_models
@@ -171,46 +170,73 @@ def paper_sheet(matrix: TransferMatrix) -> TableElement | None:
     )
 
 
-def matrix_to_json(matrix: TransferMatrix) -> dict[str, Any]:
-    """Return the key ``transfer`` of the document."""
-    figures = MatrixEstimates(matrix)
-    return {
-        "unit": matrix.unit,
-        "trials": matrix.trials,
-        "rows": matrix.rows,
-        "columns": matrix.columns,
-        "robot": matrix.robot,
-        "other_robots": matrix.other_robots,
-        "families": matrix.families,
-        "interval": CONFIDENCE,
-        "cells": [_cell_to_json(matrix.cell(row, column), figures) for row in matrix.rows for column in matrix.columns],
-        "consensus": [
-            {
-                "champion": champion.name,
-                "models": other_family_models(champion, figures.matrix),
-                "median": None if median is None else median.value,
-                "interval": None if median is None else median.estimate.interval,
-            }
-            for champion in matrix.champions
-            for median in [figures.consensus(champion)]
-        ],
-    }
+class CellPart(Part):
+    """One controller on one system, over fresh trials; the ``reason`` says why there are none."""
+
+    controller: str
+    column: str
+    trials: int
+    mean: Number
+    std: Number
+    standard_error: Number
+    interval: Interval | None
+    clipped_share: Number
+    diverged_share: Number
+    engine: str
+    fitness: Numbers
+    reason: str | None
+    missing: tuple[str, ...]
+
+    @classmethod
+    def of(cls, cell: TransferResult, figures: MatrixEstimates) -> CellPart:
+        """Return a cell of the matrix with the interval of its mean."""
+        figure = figures.singles.get((cell.champion, cell.column))
+        interval = None if figure is None else figure.estimate.interval
+        return cls.made_of(cell, controller=cell.champion, interval=interval, reason=cell.reason or None)
 
 
-def _cell_to_json(cell: TransferResult, figures: MatrixEstimates) -> dict[str, Any]:
-    figure = figures.singles.get((cell.champion, cell.column))
-    return {
-        "champion": cell.champion,
-        "column": cell.column,
-        "trials": cell.trials,
-        "mean": cell.mean,
-        "std": cell.std,
-        "standard_error": cell.standard_error,
-        "interval": None if figure is None else figure.estimate.interval,
-        "clipped_share": cell.clipped_share,
-        "diverged_share": cell.diverged_share,
-        "engine": cell.engine,
-        "fitness": cell.fitness,
-        "reason": cell.reason or None,
-        "missing": cell.missing,
-    }
+class OtherFamiliesPart(Part):
+    """The median over the models of families that a controller was not evolved in."""
+
+    controller: str
+    models: tuple[str, ...]
+    median: Number
+    interval: Interval | None
+
+
+class TransferPart(Part):
+    """The transfer matrix: rows are controllers, columns are systems; cells row by row.
+
+    ``interval`` is the share of the cases that the intervals contain.
+    """
+
+    unit: str
+    trials: int
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    robot: str | None
+    other_robots: tuple[str, ...]
+    families: dict[str, str]
+    interval: float
+    cells: tuple[CellPart, ...]
+    other_families: tuple[OtherFamiliesPart, ...]
+
+    @classmethod
+    def of(cls, matrix: TransferMatrix) -> TransferPart:
+        """Return a matrix with intervals."""
+        figures = MatrixEstimates(matrix)
+        medians = [(champion, figures.consensus(champion)) for champion in matrix.champions]
+        return cls.made_of(
+            matrix,
+            interval=CONFIDENCE,
+            cells=[CellPart.of(matrix.cell(row, column), figures) for row in matrix.rows for column in matrix.columns],
+            other_families=[
+                OtherFamiliesPart(
+                    controller=champion.name,
+                    models=other_family_models(champion, matrix),
+                    median=None if median is None else median.value,
+                    interval=None if median is None else median.estimate.interval,
+                )
+                for champion, median in medians
+            ],
+        )

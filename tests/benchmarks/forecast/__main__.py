@@ -15,7 +15,6 @@ calibrated on the others; the benefit of further terms; and the constants of `ev
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -26,6 +25,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from evaluation.report import load_report
 from evaluation.study import Study
 from evaluation.transfer.forecast import FORECAST_RULE
 from tests.benchmarks.forecast.judging import (
@@ -158,7 +158,7 @@ def main(arguments: list[str] | None = None) -> int:
             runs[car, point.name] = [seen(record, car, point.name, FORECAST_RULE) for record in records]
             console.print(f"{point.name}: {len(records)} controllers, {time.process_time():.0f} s", highlight=False)
     for run in given.runs:
-        robot = json.loads((run / "report.json").read_text(encoding="utf-8"))["settings"]["robot"]
+        robot = load_report(run).run.settings["robot"]
         car = number_of(robot)
         key = (car, str(run))
         runs[key] = [seen(record, car, str(run), FORECAST_RULE) for record in look(run, given.out)]

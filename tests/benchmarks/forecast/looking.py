@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,8 @@ from evaluation.exploitability import Steps, probe_limits, training_support
 from evaluation.exploitability.optimism import optimism, others_of
 from evaluation.exploitability.probes import ProbeLimit
 from evaluation.prediction.scores import HORIZON
+from evaluation.report import ReportDocument, load_report
+from evaluation.report.sections.prediction import ModelPredictionPart
 from evaluation.transfer import transfer_seeds
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Dataset
@@ -52,17 +54,18 @@ class Material:
     limits: Sequence[ProbeLimit] = ()
 
     @classmethod
-    def of(cls, run: Path, report: Mapping[str, Any]) -> Material:
+    def of(cls, run: Path, report: ReportDocument) -> Material:
         """Read the models of the comparison in ``run``."""
         training = Dataset.load(next((run / "data").glob("*/training")))
-        named = {model["name"]: model for model in report["models"]}
+        assert report.prediction is not None
+        named = {model.name: model for model in report.models}
         return cls(
             models={name: load_model(_newest(run / "models", name)) for name in named},
-            families={name: model["family"] for name, model in named.items()},
-            errors={model["name"]: _error(model) for model in report["prediction"]["models"]},
+            families={name: model.family for name, model in named.items()},
+            errors={model.name: _error(model) for model in report.prediction.models},
             support=training_support(training),
             limits=probe_limits(Steps.moving(training)),
-            seed=report["settings"]["seed"],
+            seed=report.run.settings["seed"],
         )
 
 
@@ -75,14 +78,15 @@ def look(run: Path, out: Path) -> list[Record]:
     if kept.is_file():
         found: list[Record] = json.loads(kept.read_text(encoding="utf-8"))
         return found
-    report = json.loads((run / "report.json").read_text(encoding="utf-8"))
+    report = load_report(run)
     material = Material.of(run, report)
-    car = runner_of(robot_spec(report["settings"]["robot"]))
+    car = runner_of(robot_spec(report.run.settings["robot"]))
     records: dict[str, Record] = {}
-    for name, file in report["controller_files"].items():
-        champion = load_champion((run / file).with_suffix(""))
-        if champion.against and report["transfer"]["robot"] not in champion.against:
-            for record in records_of(champion, name, material, car):
+    assert report.controllers is not None
+    for one in report.controllers.controllers:
+        if one.file and one.against and not one.evolved_on_robot:
+            champion = load_champion((run / one.file).with_suffix(""))
+            for record in records_of(champion, one.name, material, car):
                 records.setdefault(record["digest"], record)
     text = json.dumps(list(records.values()), allow_nan=False)
     write_atomically(kept, lambda temporary: temporary.write_text(text, encoding="utf-8"))
@@ -160,8 +164,7 @@ def _newest(folder: Path, name: str) -> Path:
     return max(files, key=lambda file: file.stat().st_mtime).with_suffix("")
 
 
-def _error(model: Mapping[str, Any]) -> float | None:
+def _error(model: ModelPredictionPart) -> float | None:
     """Return N after a second, else after the longest horizon, as `error_of` does."""
-    scores = model["horizons"]
-    at = [score["n"] for score in scores if score["steps"] == HORIZON] or [score["n"] for score in scores[-1:]]
+    at = [score.n for score in model.scores if score.steps == HORIZON] or [score.n for score in model.scores[-1:]]
     return at[0] if at else None

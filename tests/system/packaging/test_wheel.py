@@ -177,7 +177,7 @@ def test_compare_runs_without_extras_and_names_what_installs_the_rest(bare):
     assert (bare.work / "run" / "report.html").is_file()
     families = {model["family"] for model in report["models"]}
     assert families == {"backprop27", "evolved3", "mlp_ensemble", "narx", "nearest_neighbour", "parametrised"}
-    assert report["failures"] == []
+    assert report["run"]["failures"] == []
 
 
 def test_a_study_runs_without_extras_and_its_tables_can_be_read(bare):

@@ -30,7 +30,7 @@ def headline(made, question):
 
 
 def first_sentence(made, question):
-    return next(finding.answers[-1] for finding in verdict(made) if finding.question == question)
+    return next(finding.sentence for finding in verdict(made) if finding.question == question)
 
 
 @pytest.mark.parametrize("episodes", [2, FEWEST_BLOCKS - 1, FEWEST_BLOCKS])
@@ -45,7 +45,7 @@ def test_models_are_compared_from_ten_blocks_of_test_data(episodes):
     assert rows["linear"] == (("* 0.036\n0.016 to 0.056",) * 2 if enough else ("0.036",) * 2)
     assert (difference_table(made.prediction) is not None) == enough
     document = to_json(made)["prediction"]
-    (score,) = next(model["horizons"] for model in document["models"] if model["name"] == "linear")
+    (score,) = next(model["scores"] for model in document["models"] if model["name"] == "linear")
     assert (score["interval"] != [None, None]) == enough
     assert bool(document["differences"]) == enough
 
@@ -116,8 +116,8 @@ def test_that_rest_scores_best_is_the_first_thing_that_is_said(robot):
     assert headlines(useless)[0].sentence.startswith(
         "No controller does better than controls at rest. Look at the reward"
     )
-    assert verdict(useless)[0].answers[-1].startswith("No controller does better than controls at rest")
-    assert "at rest" not in verdict(fine)[0].answers[-1]
+    assert verdict(useless)[0].sentence.startswith("No controller does better than controls at rest")
+    assert "at rest" not in verdict(fine)[0].sentence
     assert headline(fine, "Which controller").tone == "good"
 
 

@@ -26,7 +26,7 @@ def advised(remarks=REMARKS):
 def test_the_verdict_ends_with_the_two_most_important_remarks():
     finding = verdict(advised())[-1]
     assert finding.question == QUESTION
-    assert finding.answers == ("Sentence 0.", "Sentence 1.")
+    assert finding.sentences == ("Sentence 0.", "Sentence 1.")
     assert all(finding.question != QUESTION for finding in verdict(advised(())))
 
 

@@ -413,12 +413,13 @@ def test_a_report_without_a_forecast_has_no_column_of_it():
 
 
 def test_the_document_holds_what_was_predicted_and_what_came_of_it():
-    found = json.loads(json.dumps(to_json(driven())["forecast"], allow_nan=False))
+    found = json.loads(json.dumps(to_json(driven())["controllers"], allow_nan=False))
     first = found["controllers"][0]
-    assert (first["controller"], first["achieved"], first["held"]) == ("a", 8.5, True)
-    assert first["low"] < first["value"] < first["high"]
-    assert found["models"][0]["model"] == "a"
-    assert found["rule"]["share"] == 0.9
+    forecast = first["forecast"]
+    assert (first["name"], first["achieved"]["value"], forecast["covers_achieved"]) == ("a", 8.5, True)
+    assert forecast["low"] < forecast["value"] < forecast["high"]
+    assert found["model_forecasts"][0]["model"] == "a"
+    assert found["forecast_rule"]["share"] == 0.9
 
 
 def test_the_papers_own_cells_give_the_papers_table():
@@ -544,6 +545,9 @@ def test_responses_of_all_linearised_models_stand_in_two_figures_and_the_others_
     report = chosen.make_report({"known": fitted(Known()), "rough": fitted(Undefined())}, robot=False)
     found = models_section.section(report)
     assert found.absent == ["Not linearised, so without poles and responses: rough (its next state is not a number)."]
+    known, rough = to_json(report)["models"]
+    assert known["linear"]["poles"] == [[z.real, z.imag] for z in report.models[0].linear.poles] != []
+    assert (rough["linear"], rough["not_linearised"]) == (None, "its next state is not a number")
     steps, gains = found.pictures
     values = json.loads(drawn(steps.panels[0]).chart)
     assert values["names"] == ["linear fit", "known"]

@@ -35,7 +35,8 @@ def test_the_brief_is_a_screenful_that_begins_with_the_verdict_and_nothing_in_it
     assert lines.index(table) > lines.index("Which controller to use?")
     wide = printed(brief(made), width=300)
     for finding in verdict(made):
-        assert {finding.question, *(f"  {answer}" for answer in finding.answers)} <= set(wide)
+        said = (finding.answer, finding.sentence) if finding.answer else finding.sentences
+        assert {finding.question, *(f"  {line}" for line in said)} <= set(wide)
     assert not any("Transfer matrix" in line for line in wide)
     assert any("Transfer matrix" in line for line in printed(tables(made)))
 

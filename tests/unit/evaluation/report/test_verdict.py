@@ -19,7 +19,7 @@ GOOD = {"persistence": 0.9, "linear": 0.3, "sindy": 0.6}
 
 
 def told(made):
-    return " ".join(answer for finding in verdict(made) for answer in finding.answers)
+    return " ".join(text for finding in verdict(made) for text in (finding.answer, *finding.sentences) if text)
 
 
 def scored(*n, **options):
@@ -345,7 +345,7 @@ def test_a_run_that_is_not_finished_is_not_called_a_failure():
     assert answers(made)["Which controller to use?"].sentence == (
         "No controller was evolved, because the run is not finished."
     )
-    said = {finding.question: " ".join(finding.answers) for finding in verdict(made)}
+    said = {one.question: one.sentence for one in verdict(made)}
     assert said["What is missing?"] == (
         "The run is not finished; repeat its command with the same --out to compute the rest."
     )
