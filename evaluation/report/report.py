@@ -131,7 +131,7 @@ class ReportDocument(Part):
 
     model_config = ConfigDict(title="report.json of sysid-evo")
 
-    schema_: Literal["sysid-evo/report/7"] = Field(SCHEMA, alias="schema")
+    schema_: Literal["sysid-evo/report/7"] = Field(default=SCHEMA, alias="schema")
     title: str
     answers: tuple[Answer, ...]
     controllers: ControllersPart | None

@@ -136,8 +136,9 @@ def _figures(run: Path) -> dict[str, float | None]:
     report = evaluation.load_report(run)
     found: dict[str, float | None] = {}
     for model in () if report.prediction is None else report.prediction.models:
-        scores = {score.steps: score for score in model.scores if score.steps is not None}
-        near = scores.get(evaluation.main_horizon(list(scores), report.data.system.dt))
+        scores = {score.steps: score for score in model.scores}
+        steps = [steps for steps in scores if steps is not None]
+        near = scores.get(evaluation.main_horizon(steps, report.data.system.dt))
         if near and model.name != evaluation.PERSISTENCE:
             found[f"N at {near.seconds:g} s, {model.name}"] = near.n
     for one in () if report.controllers is None else report.controllers.controllers:

@@ -367,8 +367,8 @@ def headline(report: ComparisonResults) -> Answer:
         return Answer(question, "Not known", (_absent(report)[0],))
     assert report.matrix is not None
     if none_beats_rest(report.matrix) or summary.pick in (*report.matrix.at_rest, *report.matrix.at_random):
-        said = (LOOK_AT_THE_REWARD, _to_record(report))
-        return Answer(question, "None", tuple(filter(None, said)), "warn")
+        why = filter(None, (LOOK_AT_THE_REWARD, _to_record(report)))
+        return Answer(question, "None", tuple(why), "warn")
     if summary.pick is None:
         return Answer(question, "Not known", (NO_OTHER_FAMILY,))
     pick = summary.controller(summary.pick)

@@ -168,11 +168,13 @@ class ResidualsPart(Part):
             name: ResidualPart(
                 white=bool(found.white[i]),
                 white_p=found.white_p[i],
-                autocorrelation=found.autocorrelation[:, i],
-                band=found.band[:, i],
+                autocorrelation=tuple(found.autocorrelation[:, i]),
+                band=tuple(found.band[:, i]),
                 controls={
                     control: ControlCorrelationPart(
-                        p=found.cross_p[j, i], correlation=found.cross[:, j, i], band=found.cross_band[:, j, i]
+                        p=found.cross_p[j, i],
+                        correlation=tuple(found.cross[:, j, i]),
+                        band=tuple(found.cross_band[:, j, i]),
                     )
                     for j, control in enumerate(system.control_names)
                 },
