@@ -67,7 +67,6 @@ BUDGETS = {
     "evolving.md": {
         "(generations=10, trials=4)": f"({SMALL})",
         "generations=12, trials=4, repeats=2": f"{SMALL}, repeats=2",
-        "trials=4, schedule": f"{SMALL}, schedule".removeprefix("generations=1, "),
     },
     "grey_box.md": {"duration=60.0": "duration=20.0"},
     "gymnasium.md": {
