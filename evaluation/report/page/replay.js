@@ -34,8 +34,8 @@
 
   function opened(run) {
     const targets = run.targets.map((target) => ({ ...target, values: unpacked(target.values).map((value) => value[0]) }));
-    const [states, pose] = [run.states && unpacked(run.states), run.pose && unpacked(run.pose)];
-    return { ...run, states, pose, controls: unpacked(run.controls), last: (pose ?? states).length - 1, targets };
+    const [states, pose, side] = [run.states, run.pose, run.side].map((numbers) => numbers && unpacked(numbers));
+    return { ...run, states, pose, side, controls: unpacked(run.controls), last: (pose ?? states).length - 1, targets };
   }
 
   const element = (kind, parent, text = "") => {
@@ -55,7 +55,8 @@
     const runs = story.runs.filter((run) => run.row === name).map(opened);
     const robot = runs.find((run) => run.robot) ?? null;
     screens.replaceChildren();
-    const view = story.paths ? plane(robot ?? runs[0]) : null;
+    const view = story.paths ? plane(robot ?? runs[0]) : null, beneath = view && fromSide(robot ?? runs[0]);
+    const side = beneath && plane(beneath);
     const first = runs.filter((run) => run.robot || run.own), few = new Set((first.length > 1 ? first : runs).slice(0, FEW));
     all.hidden = few.size === runs.length;
     shown = runs.map((run) => {
@@ -75,7 +76,7 @@
         there.setAttribute("aria-label", `Jump to divergence of ${run.column} and the robot`);
         there.addEventListener("click", () => { start(false); seek(run.apart); });
       }
-      return { run, figure, canvas, now, robot: run.robot ? null : robot, view };
+      return { run, figure, canvas, now, robot: run.robot ? null : robot, view, side };
     });
     // on a narrow page two screens are shown: the first, and the one that is chosen
     const names = runs.slice(1).map((run) => run.column), last = beside.value;
@@ -99,6 +100,10 @@
     const dt = Number(slider.step);
     seek(Math.min(Number(slider.max), Math.max(0, (Math.round(time / dt) + count) * dt)));
   }
+
+  // A body in space as seen from the side, east to the right and up at the top; null for one on a plane.
+  const across = ([x, , z]) => [x, z];
+  const fromSide = (run) => run?.side ? { ...run, pose: run.side, markers: run.markers.map(across), walls: run.walls.map((wall) => wall.map(across)) } : null;
 
   // The part of the plane in every screen: path, places and walls of one trial.
   function plane(reference) {
@@ -137,7 +142,7 @@
     const { run, canvas, now } = screen, wide = canvas.clientWidth;
     if (!wide) return;
     const bars = story.controls.length * BAR + 4;
-    const high = (story.paths ? wide : story.shown.length * STRIP) + bars;
+    const high = (story.paths ? (screen.side ? 2 : 1) * wide : story.shown.length * STRIP) + bars;
     const ratio = window.devicePixelRatio || 1;
     canvas.style.height = `${high}px`;
     if (canvas.width !== Math.round(wide * ratio) || canvas.height !== Math.round(high * ratio)) {
@@ -164,7 +169,33 @@
     pen.stroke();
   };
 
-  function onPlane(pen, colour, { run, robot, view }, step, size) {
+  function onPlane(pen, colour, { run, robot, view, side }, step, size) {
+    const passed = reached(run, step);
+    seen(pen, colour, { run, robot, view }, passed, step, size);
+    if (side) {
+      pen.save();
+      pen.translate(0, size);
+      seen(pen, colour, { run: fromSide(run), robot: fromSide(robot), view: side }, passed, step, size);
+      line(pen, [[0, 0], [size, 0]], colour("muted"), 1);
+      pen.restore();
+    }
+    const moved = (i) => side ? Math.hypot(...point(run, i + 1).map((x, k) => x - point(run, i)[k])) : Math.abs(along(run, i));
+    return `${((step ? moved(step - 1) : 0) / run.dt).toFixed(2)} m/s${run.radius ? `, ${passed} passed` : ""}`;
+  }
+
+  // The position at a sample, with the height of a body in space.
+  const point = (run, i) => [run.pose[i][0], run.pose[i][1], ...(run.side ? [run.side[i][1]] : [])];
+
+  // The number of places reached until a sample.
+  function reached(run, step) {
+    let next = 0;
+    for (let i = 1; i <= step && next < run.markers.length; i++) {
+      if (Math.hypot(...point(run, i).map((x, k) => x - run.markers[next][k])) <= run.radius) next++;
+    }
+    return next;
+  }
+
+  function seen(pen, colour, { run, robot, view }, passed, step, size) {
     const scale = size / (2 * view.half);
     const at = ([x, y]) => [(x - view.centre[0] + view.half) * scale, (view.centre[1] + view.half - y) * scale];
     pen.save();
@@ -172,7 +203,7 @@
     pen.rect(0, 0, size, size);
     pen.clip();
     for (const wall of run.walls) line(pen, wall.map(at), colour("reference"), 1);
-    const passed = places(pen, colour, run, step, at, scale);
+    places(pen, colour, run, passed, at, scale);
     pen.globalAlpha = 0.3;
     line(pen, run.pose.map(at), colour("muted"), 1);
     pen.globalAlpha = 1;
@@ -182,9 +213,6 @@
     body(pen, colour, run.pose[step], at, size, false);
     ruler(pen, colour, view, scale, size);
     pen.restore();
-    const speed = step ? Math.abs(along(run, step - 1)) / run.dt : 0;
-    const done = run.markers.length ? `, ${passed} passed` : "";
-    return `${speed.toFixed(2)} m/s${done}`;
   }
 
   // Metres forwards in one step.
@@ -193,12 +221,7 @@
     return (to[0] - from[0]) * Math.cos(from[2]) + (to[1] - from[1]) * Math.sin(from[2]);
   }
 
-  function places(pen, colour, run, step, at, scale) {
-    let next = 0;
-    for (let i = 1; i <= step && next < run.markers.length; i++) {
-      const [x, y] = run.markers[next];
-      if (Math.hypot(run.pose[i][0] - x, run.pose[i][1] - y) <= run.radius) next++;
-    }
+  function places(pen, colour, run, next, at, scale) {
     pen.textAlign = "center";
     pen.textBaseline = "middle";
     run.markers.slice(0, next + 1).forEach((marker, i) => {
@@ -213,7 +236,6 @@
       pen.fillText(String(i + 1), ...at(marker));
       pen.globalAlpha = 1;
     });
-    return next;
   }
 
   function body(pen, colour, pose, at, size, ghost) {

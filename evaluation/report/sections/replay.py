@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +27,8 @@ from evaluation.results import ComparisonResults
 from evaluation.transfer.matrix import Trace, TransferMatrix
 from sysid_evo.angles import wrap
 from sysid_evo.evolution import Champion
+from sysid_evo.motion import PlanarBody
+from sysid_evo.rigid_body import RigidBody
 from sysid_evo.system import System
 from sysid_evo.types import Array
 
@@ -63,6 +66,7 @@ OVER_TIME = (
     "Blue: the state, grey: its target with the tolerance, dotted: on the robot. The vertical line marks where a model "
     "has left the robot by a tenth of the range of a state."
 )
+IN_SPACE = " Above: seen from above, below: from the side, with up at the top."
 CONTROLS = (
     " Bars: the controls, from neutral. All systems start from the same state, that of the first trial if no other is "
     "named. Keys: space plays and pauses, comma and full stop go one step back and forward."
@@ -84,7 +88,7 @@ def replay(
     kept = [trace for cell in matrix.cells.values() for trace in cell.traces[:1]]
     if system is None or not kept:
         return None
-    paths = all(is_planar(trace) and not trace.targets for trace in kept)
+    paths = all(has_path(trace) and not trace.targets for trace in kept)
     rows: dict[str, None] = {}
     runs: list[dict[str, Any]] = []
     numbers = left_out = 0
@@ -102,7 +106,7 @@ def replay(
             other = None if on_robot else robot
             apart = None if other is None else divergence_time(trace, other, system, paths=paths)
             place = {"row": row, "column": column, "own": own, "robot": on_robot}
-            runs.append({**place, "compared": other is not None, "apart": apart, **_trial(trace, paths=paths)})
+            runs.append({**place, "compared": other is not None, "apart": apart, **_trial(trace, system, paths=paths)})
             rows[row] = None
     document = {
         "unit": matrix.unit,
@@ -115,7 +119,8 @@ def replay(
     }
     text = json.dumps(document, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
     fewer = f" {left_out} trials on other models are left out to keep the page small." if left_out else ""
-    caption = (ON_A_PLANE if paths else OVER_TIME) + CONTROLS + fewer
+    space = IN_SPACE if paths and isinstance(system.motion, RigidBody) else ""
+    caption = (ON_A_PLANE if paths else OVER_TIME) + space + CONTROLS + fewer
     return ReplayElement(tuple(rows), text.replace("<", "\\u003c"), paths, caption)
 
 
@@ -133,10 +138,45 @@ def _ordered(matrix: TransferMatrix, champion: Champion) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*robots, *(c for c in matrix.columns if c in champion.against), *matrix.columns)))
 
 
-def is_planar(trace: Trace) -> bool:
-    """Whether the trial has the pose of a body on a plane."""
+def has_path(trace: Trace) -> bool:
+    """Whether the trial has the pose of a body on a plane or in space."""
     pose = trace.trajectory.pose
-    return pose is not None and pose.shape[1] == 3
+    return pose is not None and pose.shape[1] in (3, RigidBody.n_pose)
+
+
+FROM_THE_SIDE = " from the side"
+
+
+def views(trace: Trace, system: System | None) -> dict[str, Trace]:
+    """Return a trial as trials on planes, by the words to add to their names; a body in space is seen from two sides.
+
+    Their poses are x, y and heading, to the right, up, and counter-clockwise in the drawing: east and north from above,
+    east and up from the side.
+    """
+    pose = trace.trajectory.pose
+    if pose is None or system is None or not isinstance(system.motion, RigidBody):
+        return {"": trace}
+    w, x, y, z = pose[:, 3:].T
+    ahead = np.stack([1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)], axis=1)
+    place, ahead, markers, *walls = (
+        _from_above_and_north(values, system.motion) for values in (pose[:, :3], ahead, trace.waypoints, *trace.walls)
+    )
+
+    def seen(columns: list[int]) -> Trace:
+        heading = np.arctan2(ahead[:, columns[1]], ahead[:, columns[0]])
+        run = replace(trace.trajectory, pose=np.column_stack([place[:, columns], heading]))
+        return replace(
+            trace, trajectory=run, waypoints=markers[:, columns], walls=tuple(wall[:, columns] for wall in walls)
+        )
+
+    return {" from above": seen([0, 1]), FROM_THE_SIDE: seen([0, 2])}
+
+
+def _from_above_and_north(values: Array, motion: RigidBody) -> Array:
+    """Return vectors (n, 3) of the world as east, north and up; (n, 2) of an empty list as none."""
+    if values.shape[1] != 3:
+        return np.empty((0, 3))
+    return values if motion.frame == "ENU" else values[:, [1, 0, 2]] * [1.0, 1.0, -1.0]
 
 
 APART = 0.1
@@ -146,16 +186,17 @@ APART = 0.1
 def divergence_time(trace: Trace, robot: Trace, system: System, *, paths: bool) -> float | None:
     """Return the seconds after which a trial is apart from the one on the robot for the first time; None if never.
 
-    Of bodies on a plane the positions are compared, of other systems the states that are drawn. Apart is a tenth of
+    Of bodies with a pose the positions are compared, of other systems the states that are drawn. Apart is a tenth of
     the extent of the robot's path, or of the range of a state (its target counts) in the robot's trial.
     """
     steps = min(len(trace.trajectory.states), len(robot.trajectory.states))
     if paths:
         assert trace.trajectory.pose is not None
         assert robot.trajectory.pose is not None
-        here, there = trace.trajectory.pose[:steps, :2], robot.trajectory.pose[:steps, :2]
+        axes = 2 if robot.trajectory.pose.shape[1] == PlanarBody.n_pose else 3
+        here, there = trace.trajectory.pose[:steps, :axes], robot.trajectory.pose[:steps, :axes]
         extent = np.array([np.ptp(there, axis=0).max()])
-        distance = np.hypot(*(here - there).T)[:, None]
+        distance = np.linalg.norm(here - there, axis=1)[:, None]
     else:
         places = list(plotted_states(robot, system))
         here, there = trace.trajectory.states[:steps, places], robot.trajectory.states[:steps, places]
@@ -175,22 +216,31 @@ def _range(trace: Trace, place: int, values: Array, system: System) -> float:
     return spread if period is None else min(spread, period)
 
 
-def _trial(trace: Trace, *, paths: bool) -> dict[str, Any]:
+def _trial(trace: Trace, system: System, *, paths: bool) -> dict[str, Any]:
     trajectory = trace.trajectory
+    drawn = list(views(trace, system).values()) if paths else [trace]
+    poses = [packed(view.trajectory.pose) for view in drawn if paths and view.trajectory.pose is not None]
     return {
         "dt": trajectory.dt,
         "fitness": round(trace.fitness, 4) if np.isfinite(trace.fitness) else None,
         "states": None if paths else packed(trajectory.states),
         "controls": packed(trajectory.controls),
-        "pose": packed(trajectory.pose) if paths and trajectory.pose is not None else None,
-        "markers": trace.waypoints.round(3).tolist(),
+        "pose": poses[0] if poses else None,
+        "markers": _places([view.waypoints for view in drawn]),
         "radius": trace.waypoint_radius,
-        "walls": [wall.round(3).tolist() for wall in trace.walls],
+        "walls": [_places(list(wall)) for wall in zip(*(view.walls for view in drawn), strict=True)],
+        **({"side": poses[1]} if len(poses) > 1 else {}),
         "targets": [
             {"place": target.place, "tolerance": target.tolerance, "values": packed(target.values)}
             for target in trace.targets
         ],
     }
+
+
+def _places(drawn: Sequence[Array]) -> list[list[float]]:
+    """Return the places (k, 2) of each view together: x and y from above, then z from the side."""
+    found: list[list[float]] = np.column_stack([drawn[0], *(side[:, 1] for side in drawn[1:])]).round(3).tolist()
+    return found
 
 
 def _numbers(trace: Trace, *, paths: bool) -> int:
@@ -232,12 +282,14 @@ def traces_picture(matrix: TransferMatrix) -> FigureElement | None:
     found = [(name, column, trace) for name in matrix.rows for column, trace in _traces(name, matrix)]
     if not found:
         return None
-    paths = all(is_planar(trace) and not trace.targets for _, _, trace in found)
+    paths = all(has_path(trace) and not trace.targets for _, _, trace in found)
     panels = []
-    for number, (name, column, trace) in enumerate(found[:SHOWN_TRACES]):
-        label = f"{name} on {column}"
-        drawing = _path(number, label, trace) if paths else _over_time(number, label, trace, _champion(name, matrix))
-        panels.append(DrawingPair(drawing, title=label, note=f"{trace.fitness:.4g} {matrix.unit}".strip()))
+    for name, column, trace in found[:SHOWN_TRACES]:
+        champion, label = _champion(name, matrix), f"{name} on {column}"
+        for words, view in views(trace, champion.system).items() if paths else [("", trace)]:
+            number, title = len(panels), label + words
+            drawing = _path(number, title, view) if paths else _over_time(number, title, view, champion)
+            panels.append(DrawingPair(drawing, title=title, note=f"{trace.fitness:.4g} {matrix.unit}".strip()))
     left_out = " The first controllers only." if len(found) > SHOWN_TRACES else ""
     drawn = "Blue: the states, grey: their targets with the tolerance"
     if paths:
@@ -259,7 +311,7 @@ def _traces(name: str, matrix: TransferMatrix) -> Sequence[tuple[str, Trace]]:
 
     def first(column: str) -> Trace | None:
         traces = matrix.cell(name, column).traces
-        shown = bool(traces) and (is_planar(traces[0]) or champion.system is not None)
+        shown = bool(traces) and (has_path(traces[0]) or champion.system is not None)
         return traces[0] if shown else None
 
     own = next((column for column in champion.against if column in matrix.models and first(column) is not None), None)
@@ -274,7 +326,9 @@ def _champion(name: str, matrix: TransferMatrix) -> Champion:
 def _path(number: int, label: str, trace: Trace) -> Drawing:
     def draw(figure: Figure) -> None:
         figure.set_layout_engine("none")
-        plot_trace(trace, figure.add_axes(SQUARE))
+        ax = plot_trace(trace, figure.add_axes(SQUARE))
+        if label.endswith(FROM_THE_SIDE):
+            ax.set_ylabel("height (m)")
 
     return Drawing(f"trace-{number}", f"path of {label}", draw, QUARTER, QUARTER)
 

@@ -6,13 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from evaluation.report.sections.replay import divergence_time, packed, replay
+from evaluation.report.sections.replay import divergence_time, packed, replay, traces_picture, views
 from evaluation.transfer import Cell, Trace, transfer
+from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.data import Trajectory
 from sysid_evo.engine import DynamicsRunner
+from sysid_evo.registry import Spec
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import Target
+from sysid_evo.tasks.in_space import Hover
+from sysid_evo.testing.examples import ExampleDynamics, drone
 from tests.fixtures.known_models import Known, Sliding, fitted
 from tests.fixtures.reports import EVIL, champion, on_a_plane
 
@@ -162,3 +167,51 @@ def test_a_target_far_away_widens_the_range_but_never_beyond_a_turn():
     assert divergence_time(of_states(off), of_states(still, target=3.1), ARM, paths=False) is None
     nearly_a_turn = of_states(np.where(np.arange(11) >= 2, 0.7, 0.0))
     assert divergence_time(nearly_a_turn, of_states(still, target=60.0), ARM, paths=False) == pytest.approx(0.2)
+
+
+def in_space(frame):
+    """A trial that flies north while it climbs, nose up by 45 degrees, past a waypoint."""
+    time = np.arange(4.0)
+    nose_up = Rotation.from_euler("ZYX", [90.0, -45.0, 0.0], degrees=True)  # to the north, in ENU
+    if frame == "NED":
+        nose_up = Rotation.from_euler("ZYX", [0.0, 45.0, 0.0], degrees=True)
+    place = np.stack([0.0 * time, 2.0 * time, time], axis=1)
+    marker = np.array([[0.5, 2.0, 1.0]])
+    if frame == "NED":
+        place, marker = place[:, [1, 0, 2]] * [1, 1, -1], marker[:, [1, 0, 2]] * [1, 1, -1]
+    pose = np.concatenate([place, np.tile(nose_up.as_quat()[[3, 0, 1, 2]], (4, 1))], axis=1)
+    run = Trajectory(np.zeros((4, 9)), np.zeros((3, 4)), 0.02, pose=pose)
+    return Trace(run, 1.0, marker, 0.3, walls=(place,))
+
+
+@pytest.mark.parametrize("frame", ["ENU", "NED"])
+def test_a_body_in_space_is_seen_from_above_with_north_up_and_from_the_side_with_height_up(frame):
+    seen = views(in_space(frame), drone(frame))
+    above, side = seen[" from above"], seen[" from the side"]
+    np.testing.assert_allclose(above.trajectory.pose, [[0.0, 2.0 * k, np.pi / 2] for k in range(4)], atol=1e-12)
+    np.testing.assert_allclose(side.trajectory.pose[:, :2], [[0.0, k] for k in range(4)], atol=1e-12)
+    np.testing.assert_allclose(side.trajectory.pose[:, 2], np.pi / 2, atol=1e-6)
+    assert (above.waypoints.tolist(), side.waypoints.tolist()) == ([[0.5, 2.0]], [[0.5, 1.0]])
+    np.testing.assert_allclose(above.walls[0], above.trajectory.pose[:, :2])
+
+
+def test_the_replay_of_a_body_in_space_has_both_views_and_its_divergence_counts_the_height():
+    system = drone()
+    size = RecurrentNetwork().bind_to(Hover().bind(system)).n_parameters
+    made = replace(
+        champion("c", ("m",)), task=Spec.parse("hover(horizon=20)"), system=system, parameters=np.zeros(size)
+    )
+    runner = DynamicsRunner(ExampleDynamics(system))
+    found = transfer([made], {"m": runner, "drone": runner}, seed=1, robot="drone", trials=2, traces=2)
+    shown = replay(found)
+    assert "from the side" in shown.caption
+    assert shown.paths
+    run = document_of(shown)["runs"][0]
+    pose = found.cell("c", "drone").traces[0].trajectory.pose
+    np.testing.assert_allclose(unpacked(run["side"])[:, 1], pose[:, 2], atol=1e-3)
+    assert len(run["markers"][0]) == 3
+    titles = [pair.title for pair in traces_picture(found).panels]
+    assert titles == ["c on m from above", "c on m from the side", "c on drone from above", "c on drone from the side"]
+    higher = in_space("ENU")
+    moved = replace(higher.trajectory, pose=higher.trajectory.pose + np.array([0, 0, 1.0, 0, 0, 0, 0]))
+    assert divergence_time(replace(higher, trajectory=moved), higher, system, paths=True) == 0.0
