@@ -283,7 +283,7 @@ def traces_picture(matrix: TransferMatrix) -> FigureElement | None:
     if not found:
         return None
     paths = all(has_path(trace) and not trace.targets for _, _, trace in found)
-    panels = []
+    panels: list[DrawingPair] = []
     for name, column, trace in found[:SHOWN_TRACES]:
         champion, label = _champion(name, matrix), f"{name} on {column}"
         for words, view in views(trace, champion.system).items() if paths else [("", trace)]:
