@@ -22,7 +22,6 @@ from hardware.simulators.gymnasium_state import AttributeState, StateSetter, sta
 from hardware.simulators.simulator import LONGEST_SEED, ExternalSimulator, SimulatorSession
 from hardware.simulators.simulator_robot import SimulatorRobot
 from sysid_evo.angles import TURN
-from sysid_evo.errors import InvalidArgument
 from sysid_evo.extras import check_installed
 from sysid_evo.registry import Spec, register_robot
 from sysid_evo.system import Channel, System
@@ -40,8 +39,8 @@ class GymnasiumRobot(SimulatorRobot):
     become one periodic state: ``"0,1"`` for a cosine and its sine, ``"2"`` for an angle in rad, several separated by
     semicolons. ``channels`` names the states and ``controls`` the controls, with units in brackets:
     ``"angle [rad], speed [rad/s]"``, ``"force [N]"``. ``dt`` (s) is the time from one step to the next, by default
-    that of the environment. The classic environments have names, units and angles already. ``settings`` is a table of
-    further arguments of `gymnasium.make`.
+    that of the environment, or 0.05 s if it defines none. The classic environments have names, units and angles
+    already. ``settings`` is a table of further arguments of `gymnasium.make`.
 
     An environment of another package is named ``"package:Name-v0"``. Raises `InvalidArgument` if there is no such
     environment, `IncompatibleSystem` if its spaces cannot be states and controls, `MissingExtra`.
@@ -115,7 +114,7 @@ class GymnasiumSimulator(ExternalSimulator):
                 states = named_channels(f"{what}: channels", channels, states)
             if controls:
                 actions = named_channels(f"{what}: controls", controls, actions)
-            step = _dt(what, env) if dt is None else check_number(f"{what}: dt", dt, above=0.0)
+            step = _dt(env) if dt is None else check_number(f"{what}: dt", dt, above=0.0)
             system = System(states, actions, step, name=name)
             found = AttributeState() if known is not None else state_setter(name, settings, observations)
             setter = found if isinstance(found, StateSetter) else None
@@ -151,14 +150,18 @@ class GymnasiumSession(SimulatorSession):
         self._env.close()
 
 
-def _dt(what: str, env: gymnasium.Env[Any, Any]) -> float:
-    """Return the time of a step from the environment: ``dt``, ``tau``, or one frame of its rendering."""
+USUAL_DT = 0.05
+"""Time of a step (s) of an environment that does not define it."""
+
+
+def _dt(env: gymnasium.Env[Any, Any]) -> float:
+    """Return the time of a step: ``dt``, ``tau``, or one frame of its rendering; `USUAL_DT` if it has none of these."""
     inner = env.unwrapped
     rate = (inner.metadata or {}).get("render_fps")
     for value in (getattr(inner, "dt", None), getattr(inner, "tau", None), 1.0 / rate if rate else None):
         if isinstance(value, int | float) and math.isfinite(value) and value > 0.0:
             return float(value)
-    raise InvalidArgument(f"{what}: the environment does not define the time of a step; give dt=..., in s")
+    return USUAL_DT
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,9 @@ def make_environment(name: str, settings: Mapping[str, Any]) -> gymnasium.Env[An
     try:
         return gymnasium.make(name, disable_env_checker=True, **settings)
     except (gymnasium.error.Error, ImportError, TypeError, ValueError) as error:
+        reason = str(error).rstrip(".")
         raise InvalidArgument(
-            f"robot gymnasium: cannot make the environment {name!r}: {error}. An environment of your own must be "
+            f"robot gymnasium: cannot make the environment {name!r}: {reason}. An environment of your own must be "
             "registered with Gymnasium: name the file that does so with --plugin FILE"
         ) from error
 

@@ -26,7 +26,8 @@ class LearnedReward:
     then the change of each state, all minus ``centre`` and divided by ``scale`` (m,). Polynomials of degree 2 have the
     coefficients of 1, of the features, and of the products i <= j:
 
-    - ``step`` of all features: the reward of a step that does not end the episode;
+    - ``step`` of all features: the reward of a step that does not end the episode, to which a network with ``inner``
+      (h, 1 + m) and ``outer`` (h,) weights adds outer @ tanh(inner @ [1, features]); h may be 0;
     - ``end``, of the first r: the episode ends where it is positive, and where one of the ``limits`` (k, 3) is passed:
       sign * (feature - value) > 0, with the columns feature, sign, value;
     - ``last``, of the first r, or of all: the reward of the step that ends it. With two ``levels`` (2,) it is the
@@ -38,6 +39,8 @@ class LearnedReward:
     centre: Array
     scale: Array
     step: Array
+    inner: Array
+    outer: Array
     end: Array
     last: Array
     limits: Array
@@ -64,20 +67,21 @@ class LearnedReward:
         last = polynomial(self.last, features[:, : _features_in(len(self.last))])
         if len(self.levels):
             last = np.where(last > 0.0, self.levels[1], self.levels[0])
-        step = polynomial(self.step, features).clip(*self.range[:2])
+        step = (polynomial(self.step, features) + network(self.inner, self.outer, features)).clip(*self.range[:2])
         return np.where(over, last.clip(*self.range[2:]), step), over
 
     def parameters(self, system: System) -> Array:
         """Return the parameters of `judge_lanes`, flat."""
         m, r = len(self.centre), self.n_reached
         periods = [system.periods.get(i, 0.0) for i in range(system.nx)]
-        tables = (periods, self.centre, 1.0 / self.scale, self.step, self.end, self.last, self.limits)
+        tables = (periods, self.centre, 1.0 / self.scale, self.step, self.inner, self.outer)
+        tables = (*tables, self.end, self.last, self.limits)
         levels = self.levels if len(self.levels) else (0.0, 0.0)
         starts = np.cumsum([HEAD.size, *(np.size(table) for table in tables)])
         return HEAD.pack(
             *tables,
             **{"nx": system.nx, "nu": system.nu, "m": m, "r": r, "limits": len(self.limits)},
-            n_last=_features_in(len(self.last)),
+            **{"n_last": _features_in(len(self.last)), "hidden": len(self.outer)},
             **dict(zip(OFFSETS, starts[:-1], strict=True)),
             **{"two": float(len(self.levels) > 0), "first": levels[0], "second": levels[1]},
             **dict(zip(("low", "high", "last_low", "last_high"), self.range, strict=True)),
@@ -99,7 +103,8 @@ class LearnedReward:
         m, r = len(found.centre), found.n_reached
         shapes = [getattr(found, name).shape for name in ARRAYS]
         last = (n_terms(m if len(found.last) == n_terms(m) else r),)
-        wanted = [(m,), (m,), (n_terms(m),), (n_terms(r),), last, (len(found.limits), 3), None, (4,)]
+        h = len(found.outer)
+        wanted = [(m,), (m,), (n_terms(m),), (h, 1 + m), (h,), (n_terms(r),), last, (len(found.limits), 3), None, (4,)]
         if any(b is not None and a != b for a, b in zip(shapes, wanted, strict=True)) or r > m:
             raise InvalidArgument(f"learned reward: its arrays do not fit each other: {shapes}")
         if not all(np.isfinite(getattr(found, name)).all() for name in ARRAYS):
@@ -112,7 +117,7 @@ class LearnedReward:
         return self.n_reached == r and len(self.centre) == r + system.nu + system.nx
 
 
-ARRAYS = ("centre", "scale", "step", "end", "last", "limits", "levels", "range")
+ARRAYS = ("centre", "scale", "step", "inner", "outer", "end", "last", "limits", "levels", "range")
 
 
 def raw_features(system: System, before: Array, control: Array, after: Array) -> Array:
@@ -144,12 +149,32 @@ def polynomial(coefficients: Array, features: Array) -> Array:
     return values
 
 
-OFFSETS = ("periods", "centre", "factor", "step", "end", "last", "bounds")
+def network(inner: Array, outer: Array, features: Array) -> Array:
+    """Return the values (B,) of a network with one hidden layer at ``features`` (B, m)."""
+    values: Array = np.tanh(inner[:, 0] + features @ inner[:, 1:].T) @ outer
+    return values
+
+
+OFFSETS = ("periods", "centre", "factor", "step", "inner", "outer", "end", "last", "bounds")
 HEAD = Layout(
-    "nx", "nu", "m", "r", "n_last", "limits", *OFFSETS, "two", "first", "second", "low", "high", "last_low", "last_high"
+    "nx",
+    "nu",
+    "m",
+    "r",
+    "n_last",
+    "hidden",
+    "limits",
+    *OFFSETS,
+    "two",
+    "first",
+    "second",
+    "low",
+    "high",
+    "last_low",
+    "last_high",
 )
-SUMS = 3
-"""Rows for the values of the three polynomials, before those for the features."""
+SUMS = 4
+"""Rows for the values of the three polynomials and of one hidden unit, before those for the features."""
 
 
 def scratch_rows(learned: LearnedReward) -> int:
@@ -212,6 +237,17 @@ def judge_lanes(before, control, after, scratch, p):
             shown[lane] = (shown[lane] - middle) * inverse
     end, last = view(scratch, LANES), view(scratch, 2 * LANES)
     polynomial_lanes(scratch, features, m, view(p, int(p[HEAD.step])))
+    hidden, inner, outer = view(scratch, 3 * LANES), view(p, int(p[HEAD.inner])), view(p, int(p[HEAD.outer]))
+    for k in range(int(p[HEAD.hidden])):
+        weights, factor_out = view(inner, k * (1 + m)), outer[k]
+        for lane in range(LANES):
+            hidden[lane] = weights[0]
+        for i in range(m):
+            shown, weight = view(features, i * LANES), weights[1 + i]
+            for lane in range(LANES):
+                hidden[lane] += weight * shown[lane]
+        for lane in range(LANES):
+            scratch[lane] += factor_out * math.tanh(hidden[lane])
     polynomial_lanes(end, features, r, view(p, int(p[HEAD.end])))
     polynomial_lanes(last, features, int(p[HEAD.n_last]), view(p, int(p[HEAD.last])))
     bounds = view(p, int(p[HEAD.bounds]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ import numpy as np
 from sysid_evo.data import Dataset
 from sysid_evo.data.trajectory import TERMINATED
 from sysid_evo.errors import InvalidData
-from sysid_evo.tasks.learned_reward import LearnedReward, n_terms, polynomial, raw_features, terms_of
+from sysid_evo.tasks.learned_reward import LearnedReward, n_terms, network, polynomial, raw_features, terms_of
 from sysid_evo.types import Array, BoolArray, IntArray
 
 FOLDS = 5
@@ -93,8 +94,14 @@ def fit_reward(dataset: Dataset) -> tuple[LearnedReward, RewardQuality]:
     steps, centre, scale = _steps_of(dataset)
     going, r = ~steps.ended, steps.n_reached
     step, step_form, error = _fitted(steps.features[going], steps.rewards[going], steps.fold[going])
+    inner, outer = np.zeros((0, 1 + len(centre))), np.zeros(0)
+    if error > ROUGH:
+        found_network = _network(steps.features[going], steps.rewards[going], steps.fold[going], error)
+        if found_network is not None:
+            step, inner, outer, error = found_network
+            step_form = f"linear terms and a network of {len(outer)} units"
     end, limits, end_form, found, wrong = _end(steps)
-    last, levels, last_form, last_error = _last(steps, step)
+    last, levels, last_form, last_error = _last(steps, step if not len(outer) else None)
     paid, final = steps.rewards[going], steps.rewards[steps.ended]
     low, high = (paid.min(), paid.max()) if len(paid) else (final.min(), final.max())
     final_low, final_high = (final.min(), final.max()) if len(final) else (low, high)
@@ -103,6 +110,8 @@ def fit_reward(dataset: Dataset) -> tuple[LearnedReward, RewardQuality]:
         centre=centre,
         scale=scale,
         step=step,
+        inner=inner,
+        outer=outer,
         end=end,
         last=last,
         limits=limits,
@@ -222,6 +231,60 @@ def _ridge_errors(terms: Array, targets: Array, fold: IntArray) -> Iterator[tupl
         yield ridge, float(np.sqrt(squares / len(targets)))
 
 
+ROUGH = 0.02
+"""Held-out error of a polynomial from which a network is tried."""
+UNITS, WEIGHT_PENALTY, ITERATIONS = 24, 1e-4, 400
+OF_NETWORK = 6000
+"""Number of steps that a network is fitted to."""
+BETTER = 0.8
+"""A network is used if its held-out error is at most this multiple of the polynomial's."""
+
+
+def _network(features: Array, targets: Array, fold: IntArray, error: float) -> tuple[Array, Array, Array, float] | None:
+    """Return linear terms, inner and outer weights and held-out error; None if it is hardly better than ``error``.
+
+    The error is that of two folds.
+    """
+    squares, count = 0.0, 0
+    for k in np.unique(fold)[:2]:
+        held = fold == k
+        if held.all():
+            return None
+        step, inner, outer = _trained(features[~held], targets[~held])
+        off = polynomial(step, features[held]) + network(inner, outer, features[held]) - targets[held]
+        squares, count = squares + float((off**2).sum()), count + int(held.sum())
+    found = float(np.sqrt(squares / count) / targets.std())
+    return (*_trained(features, targets), found) if found <= BETTER * error else None
+
+
+def _trained(features: Array, targets: Array) -> tuple[Array, Array, Array]:
+    """Return linear terms, and inner and outer weights of a network fitted to what they leave."""
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.neural_network import MLPRegressor
+
+    n = features.shape[1]
+    rows = np.random.default_rng(0).permutation(len(targets))[:OF_NETWORK]
+    x, columns = features[rows], _columns(1, n)
+    terms, step = terms_of(x)[:, columns], np.zeros(n_terms(n))
+    step[columns] = _solved(terms.T @ terms, terms.T @ targets[rows], RIDGES[0], len(rows))
+    left = targets[rows] - polynomial(step, x)
+    size = max(float(left.std()), 1e-12)
+    law = MLPRegressor(
+        hidden_layer_sizes=(UNITS,),
+        activation="tanh",
+        solver="lbfgs",
+        alpha=WEIGHT_PENALTY,
+        max_iter=ITERATIONS,
+        random_state=0,
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        law.fit(x, left / size)
+    step[0] += size * float(law.intercepts_[1][0])
+    inner = np.concatenate([law.intercepts_[0][:, None], law.coefs_[0].T], axis=1)
+    return step, inner, size * law.coefs_[1][:, 0]
+
+
 NEVER = "none"
 
 
@@ -299,6 +362,7 @@ MOST_OTHERS = 5000
 
 def _classified(reached: Array, positive: BoolArray, form: int) -> Array:
     """Return the coefficients of a polynomial that is positive where ``positive`` (N,), by logistic regression."""
+    from sklearn.exceptions import ConvergenceWarning
     from sklearn.linear_model import LogisticRegression
 
     r = reached.shape[1]
@@ -313,18 +377,20 @@ def _classified(reached: Array, positive: BoolArray, form: int) -> Array:
     weights = np.where(positive[rows], 1.0, len(others) / len(kept))
     terms = terms_of(reached[rows])[:, columns[1:]]
     law = LogisticRegression(C=SHARPNESS, max_iter=2000, tol=1e-4)
-    law.fit(terms, positive[rows], sample_weight=weights)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        law.fit(terms, positive[rows], sample_weight=weights)
     coefficients[columns[1:]] = law.coef_[0]
     coefficients[0] = law.intercept_[0]
     return coefficients
 
 
-def _last(steps: _Steps, step: Array) -> tuple[Array, Array, str, float]:
+def _last(steps: _Steps, step: Array | None) -> tuple[Array, Array, str, float]:
     """Return polynomial, levels, form and held-out error of the reward of the step that ends an episode."""
     ended = steps.ended
     reached, rewards, fold = steps.reached[ended], steps.rewards[ended], steps.fold[ended]
     last, form, error = _fitted(reached, rewards, fold)
-    if error > 0.0:
+    if error > 0.0 and step is not None:
         off = polynomial(step, steps.features[ended]) - rewards
         of_step = float(np.sqrt(np.mean(off**2)) / rewards.std())
         if of_step <= error:

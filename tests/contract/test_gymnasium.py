@@ -113,6 +113,7 @@ def test_angles_are_read_from_their_text():
 def test_the_time_of_a_step_is_what_the_environment_says_unless_it_is_given():
     robots = (rotor(), rotor(dt=0.02), GymnasiumRobot(id="CartPole-v1"), GymnasiumRobot(id="Pendulum-v1"))
     assert [robot.system.dt for robot in robots] == [0.1, 0.02, 0.02, 0.05]
+    assert GymnasiumRobot(id="Timeless-v0").system.dt == 0.05
 
 
 @pytest.mark.parametrize(

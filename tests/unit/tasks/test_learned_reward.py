@@ -97,6 +97,14 @@ def test_a_crash_and_a_goal_are_told_apart_by_where_they_are():
     assert quality.last_error < 0.05
 
 
+def test_a_reward_with_a_kink_is_learned_by_a_network():
+    learned, quality = fit_reward(made(lambda x, u, after: -abs(after[0] - 0.2), episodes=100, steps=20))
+    assert quality.forms[0] == "linear terms and a network of 24 units"
+    assert quality.error < 0.15  # a polynomial's is three times as large
+    for place in (-0.5, 0.2, 0.8):
+        assert judged(learned, [place, 0.0], [0.0], [place, 0.0])[0] == pytest.approx(-abs(place - 0.2), abs=0.15)
+
+
 def test_an_angle_is_learned_by_its_sine_and_cosine_and_its_change_by_the_shorter_way():
     system = System((Channel("x", "rad", period=2.0 * np.pi), Channel("v")), SYSTEM.controls, 0.1)
     learned, quality = fit_reward(made(lambda x, u, after: np.cos(after[0]), system=system))
