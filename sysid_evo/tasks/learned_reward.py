@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
@@ -74,8 +75,17 @@ class LearnedReward:
         """Return the parameters of `judge_lanes`, flat."""
         m, r = len(self.centre), self.n_reached
         periods = [system.periods.get(i, 0.0) for i in range(system.nx)]
-        tables = (periods, self.centre, 1.0 / self.scale, self.step, self.inner, self.outer)
-        tables = (*tables, self.end, self.last, self.limits)
+        tables: list[npt.ArrayLike] = [
+            periods,
+            self.centre,
+            1.0 / self.scale,
+            self.step,
+            self.inner,
+            self.outer,
+            self.end,
+            self.last,
+            self.limits,
+        ]
         levels = self.levels if len(self.levels) else (0.0, 0.0)
         starts = np.cumsum([HEAD.size, *(np.size(table) for table in tables)])
         return HEAD.pack(
@@ -89,7 +99,7 @@ class LearnedReward:
 
     def to_text(self) -> str:
         """Return all arrays as text, for the spec of a task."""
-        arrays = {name: np.asarray(getattr(self, name), dtype=np.float32) for name in ARRAYS}
+        arrays = {name: np.ascontiguousarray(getattr(self, name), dtype=np.float32) for name in ARRAYS}
         return base64.b64encode(save(arrays)).decode()
 
     @classmethod

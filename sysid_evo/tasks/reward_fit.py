@@ -154,8 +154,8 @@ def _steps_of(dataset: Dataset) -> tuple[_Steps, Array, Array]:
         kept = np.random.default_rng(0).random(len(rewards)) < MOST_STEPS / len(rewards)
         kept |= ended
         features, rewards, ended, fold = features[kept], rewards[kept], ended[kept], fold[kept]
-    centre, scale = features.mean(axis=0), features.std(axis=0)
-    scale = np.where(scale > 1e-9 * np.maximum(1.0, np.abs(centre)), scale, 1.0)
+    centre, spread = features.mean(axis=0), features.std(axis=0)
+    scale: Array = np.where(spread > 1e-9 * np.maximum(1.0, np.abs(centre)), spread, 1.0)
     n_reached = system.nx + len(system.periods)
     return _Steps((features - centre) / scale, rewards, ended, fold, n_reached), centre, scale
 
@@ -334,7 +334,7 @@ def _end_of(form: str, reached: Array, ended: BoolArray) -> tuple[Array, Array]:
 
 def _limits(reached: Array, ended: BoolArray) -> Array:
     """Return the limits (k, 3) beyond which all recorded steps ended an episode, until all ends are beyond one."""
-    left, limits = ended.copy(), []
+    left, limits = ended.copy(), list[tuple[float, float, float]]()
     enough = max(FEWEST_ENDS - 1, int(0.05 * ended.sum()))
     while left.any() and len(limits) < 2 * reached.shape[1]:
         best: tuple[int, int, float, float] | None = None
