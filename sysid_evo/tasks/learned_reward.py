@@ -1,3 +1,4 @@
+# mypy: disable-error-code="no-untyped-def, no-untyped-call"
 """Reward and end of an episode as polynomials of state, control and next state; their reference and compiled forms."""
 
 from __future__ import annotations

@@ -212,8 +212,7 @@ def _solved(gram: Array, products: Array, ridge: float, count: int) -> Array:
     """Return the coefficients of a ridge regression; that of 1, the first, is hardly penalised."""
     penalty = np.full(len(gram), ridge * count)
     penalty[0] = 1e-9 * count
-    solution: Array = np.linalg.solve(gram + np.diag(penalty), products)
-    return solution
+    return np.asarray(np.linalg.solve(gram + np.diag(penalty), products), dtype=np.float64)
 
 
 def _ridge_errors(terms: Array, targets: Array, fold: IntArray) -> Iterator[tuple[float, float]]:
