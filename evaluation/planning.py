@@ -163,7 +163,7 @@ def plan_comparison(
             "data_digest": data.digest,
         }
     )
-    advice = Advise(data, fits, predictions, matrix, experiment.seed).cell()
+    advice = Advise(data, fits, predictions, matrix, experiment.seed, held_out_scores).cell()
     wanted: list[Cell] = [data, *fits.values(), *predictions.values(), *without.values(), *held_out_scores.values()]
     wanted += needed(learned)
     if matrix is not None and exploitability is not None:

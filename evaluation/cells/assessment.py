@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from evaluation.advice.advise import advise_model
 from evaluation.advice.evidence import Evidence, ModelAdvice
 from evaluation.cells.controllers import CONTROLLERS, Baseline, ControllerCell, identity_of
 from evaluation.cells.data import SplitDataset
-from evaluation.cells.models import Fit, Predict
+from evaluation.cells.models import Fit, Predict, ScoreFit
 from evaluation.cells.plants import ACCURATE, STEPS, Plant, accurate_plants, labels_of, runners
 from evaluation.exploitability.assessment import assess_exploitability
 from evaluation.exploitability.results import ModelExploitability
@@ -162,7 +162,7 @@ class AssessExploitability(CellSettings):
 class Advise(CellSettings):
     """Advice on what limits the most accurate model, and what to record next; without scores, on the first model.
 
-    If controllers were evolved, it includes where they go.
+    If controllers were evolved, it includes where they go. ``held_out_scores`` are those of models without predictions.
     """
 
     data: Cell
@@ -170,6 +170,7 @@ class Advise(CellSettings):
     predictions: Mapping[str, Cell[Predict]]
     matrix: PlannedMatrix | None
     seed: int
+    held_out_scores: Mapping[str, Cell[ScoreFit]] = field(default_factory=dict)
 
     def cell(self) -> Cell[Advise]:
         """Return the cell of the advice."""
@@ -179,7 +180,13 @@ class Advise(CellSettings):
             name="advice",
             title="advise on the models",
             settings=self,
-            needs=(self.data, *self.fits.values(), *self.predictions.values(), *controllers),
+            needs=(
+                self.data,
+                *self.fits.values(),
+                *self.predictions.values(),
+                *controllers,
+                *self.held_out_scores.values(),
+            ),
         )
 
     def inputs(self) -> dict[str, Any]:
@@ -201,8 +208,12 @@ class Advise(CellSettings):
     def _best(self, models: Mapping[str, DynamicsModel], parts: SplitDataset, work: CellContext) -> str:
         """Return the label of the model with the lowest known N at the main horizon."""
         first = next(iter(models))
-        if parts.test is None:
-            return first
+        scores = {
+            label: score for label, cell in self.held_out_scores.items() if (score := work.result(cell)) is not None
+        }
+        errors = {label: score.n for label, score in scores.items() if label in models and score.n is not None}
+        if errors or parts.test is None:
+            return min(errors, key=lambda label: errors[label], default=first)
         if self.predictions:
             found: dict[str, ModelPrediction] = {
                 label: value for label, cell in self.predictions.items() if (value := work.result(cell)) is not None

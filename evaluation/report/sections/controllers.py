@@ -400,8 +400,8 @@ def _share_of(pick: ControllerSummary, summary: TransferSummary) -> str:
     share = None if reference is None or reference.achieved is None else pick.share_of(reference.achieved.value)
     if reference is None or reference.achieved is None or share is None:
         return ""
-    compared = percent(share) if share <= 1.0 else "more than all"  # one search is no upper limit: 107 % would mislead
-    return f"That is {compared} of the {value_of(reference.achieved)} of one search on the robot itself."
+    compared = f"{percent(share)} of" if share <= 1.0 else "more than"  # one search is no upper limit: no 107 %
+    return f"That is {compared} the {value_of(reference.achieved)} that one search on the robot itself reached."
 
 
 def _claim(pick: ControllerSummary) -> str:

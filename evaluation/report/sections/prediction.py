@@ -123,7 +123,8 @@ def error_table(prediction: Prediction) -> TableElement:
     blocks = prediction.cases.blocks(prediction.cases.main_horizon)
     notes = [
         f"{protocol.describe(prediction.cases.system.dt)} {len(prediction.cases.windows)} windows in {blocks} "
-        f"independent blocks of test data; whole episodes from sample {protocol.first}."
+        f"independent blocks of test data; whole episodes from sample {protocol.first}. N is the error in standard "
+        "deviations of the recording: 0 is perfect, 1 is no better than its mean."
     ]
     if any(cell.startswith("* ") for row in rows for cell in row[1:]):
         notes.append("* lowest, or not significantly different from it (paired bootstrap, single comparisons).")
@@ -358,7 +359,7 @@ def headline(report: ComparisonResults) -> Answer:
             why = "No model is significantly better than no change (persistence)"
         else:
             why = "No model is significantly better than predicting the mean, which has 1"
-        lowest = f"{where}, the lowest error N is {size}, of {best.name}."
+        lowest = f"{where}, the lowest simulation error N is {size}, of {best.name}."
         return Answer(question, "None", tuple(filter(None, (lowest, f"{why}.", _tried(report)))), "bad")
     equal = [m.name for m in models[1:] if m.name in good and no_worse(prediction, m, best, horizon)]
     leaders = [best.name, *equal]
@@ -366,7 +367,7 @@ def headline(report: ComparisonResults) -> Answer:
     count = f"{len(good)} of {len(models)} models predict" if len(models) > 1 else ""
     count += f", not {few(beaten)}." if count and beaten else "." if count else ""
     same = "; no significant difference between them" if len(leaders) > 1 else ""
-    whose = "the lowest error N" if len(leaders) > 1 else "its error N"
+    whose = "the lowest simulation error N" if len(leaders) > 1 else "its simulation error N"
     said = (f"{where}, {whose} is {size}{same}.", count, _tried(report))
     return Answer(question, few(leaders), tuple(filter(None, said)), "good")
 

@@ -153,7 +153,10 @@ class Niches(EvolutionStrategy):
     def status(self) -> str:
         """One-line status for the progress display."""
         best = max(self.active, key=lambda island: island.smoothed_quantile)
-        return f"{len(self.active)} niches, best {best.name}"
+        side = (
+            "" if best.side == 0 else f", best with {best.channel} mostly {ABOVE if best.side > 0 else BELOW} neutral"
+        )
+        return f"{len(self.active)} niches{side}"
 
     @property
     def state(self) -> StrategyState:

@@ -39,7 +39,7 @@ def test_models_are_compared_from_ten_blocks_of_test_data(episodes):
     enough = episodes >= FEWEST_BLOCKS
     card, said = headline(made, "Which models predict?"), first_sentence(made, "Which models predict?")
     assert (card.tone == "good") == enough
-    assert ("its error N is" in said) == enough
+    assert ("its simulation error N is" in said) == enough
     assert (f"Too little test data to compare models: {episodes} blocks of 3 s, 10 are needed." in said) != enough
     rows = {row[0]: row[1:] for row in error_table(made.prediction).rows}
     assert rows["linear"] == (("* 0.036\n0.016 to 0.056",) * 2 if enough else ("0.036",) * 2)

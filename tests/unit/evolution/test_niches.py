@@ -23,7 +23,7 @@ def test_a_niche_finds_the_high_hill_next_to_the_broad_one():
     assert found["drive above"] > 9.9
     assert max(fitness for name, fitness in found.items() if name != "drive above") == pytest.approx(5.0, abs=0.1)
     np.testing.assert_allclose(strategy.elite[0], 2.0, atol=0.05)
-    assert strategy.status == "2 niches, best drive above"
+    assert strategy.status == "2 niches, best with drive mostly above neutral"
 
 
 def test_the_initial_phase_searches_both_sides_of_every_control_and_two_classes_continue():

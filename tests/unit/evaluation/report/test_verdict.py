@@ -51,13 +51,16 @@ def on_models(*fitness):
 
 
 SENTENCES = {
-    "After 20 steps (1 s), its error N is 0.300 (0.280 to 0.320).": (
+    "After 20 steps (1 s), its simulation error N is 0.300 (0.280 to 0.320).": (
         lambda: predicted(linear=0.3, sindy=0.6),
         lambda: predicted(linear=1.2),
     ),
-    "Over whole episodes, its error N is 0.300": (lambda: scored(free=GOOD, steps=20), lambda: scored(GOOD, GOOD)),
-    "After 20 steps (1 s), the lowest error N is 1.13 (1.11 to 1.15), of linear. From 1 on, predicting the mean is as "
-    "good.": (
+    "Over whole episodes, its simulation error N is 0.300": (
+        lambda: scored(free=GOOD, steps=20),
+        lambda: scored(GOOD, GOOD),
+    ),
+    "After 20 steps (1 s), the lowest simulation error N is 1.13 (1.11 to 1.15), of linear. From 1 on, predicting the "
+    "mean is as good.": (
         lambda: scored({"persistence": 1.4, "linear": 1.13, "sindy": 1.3}),
         lambda: scored({"persistence": 1.4, "linear": 0.97, "sindy": 1.3}),
     ),
@@ -189,13 +192,13 @@ POLISHED = {
     [
         pytest.param(
             lambda: on_robot({**TWO, "a": {**TWO["a"], "car": 9.0}}),
-            ["That is 75 % of the 12.00 of one search on the robot itself."],
+            ["That is 75 % of the 12.00 that one search on the robot itself reached."],
             [],
             id="a share of the reference is stated",
         ),
         pytest.param(
             lambda: on_robot({**TWO, "a": {**TWO["a"], "car": 15.0}}),
-            ["That is more than all of the 12.00 of one search on the robot itself."],
+            ["That is more than the 12.00 that one search on the robot itself reached."],
             ["125 %"],
             id="but none of more than all",
         ),
@@ -249,8 +252,8 @@ def below_zero(rest):
 
 
 def test_shares_of_a_negative_fitness_are_measured_from_controls_at_rest():
-    assert "That is 98 % of the -200.00 of one search" in below_zero(-1200.0)
-    assert "That is 33 % of the -200.00 of one search" in below_zero({"a": -240.0, "b": -240.0, "car": -230.0})
+    assert "That is 98 % of the -200.00 that one search" in below_zero(-1200.0)
+    assert "That is 33 % of the -200.00 that one search" in below_zero({"a": -240.0, "b": -240.0, "car": -230.0})
     assert "%" not in below_zero(None)
 
 
