@@ -162,7 +162,7 @@ class AssessExploitability(CellSettings):
 class Advise(CellSettings):
     """Advice on what limits the most accurate model, and what to record next; without scores, on the first model.
 
-    If controllers were evolved, it includes where they go. ``held_out_scores`` are those of models without predictions.
+    If controllers were evolved, it includes where they go. ``scores`` are those of models without predictions.
     """
 
     data: Cell
@@ -170,7 +170,7 @@ class Advise(CellSettings):
     predictions: Mapping[str, Cell[Predict]]
     matrix: PlannedMatrix | None
     seed: int
-    held_out_scores: Mapping[str, Cell[ScoreFit]] = field(default_factory=dict)
+    scores: Mapping[str, Cell[ScoreFit]] = field(default_factory=dict)
 
     def cell(self) -> Cell[Advise]:
         """Return the cell of the advice."""
@@ -185,7 +185,7 @@ class Advise(CellSettings):
                 *self.fits.values(),
                 *self.predictions.values(),
                 *controllers,
-                *self.held_out_scores.values(),
+                *self.scores.values(),
             ),
         )
 
@@ -208,10 +208,8 @@ class Advise(CellSettings):
     def _best(self, models: Mapping[str, DynamicsModel], parts: SplitDataset, work: CellContext) -> str:
         """Return the label of the model with the lowest known N at the main horizon."""
         first = next(iter(models))
-        scores = {
-            label: score for label, cell in self.held_out_scores.items() if (score := work.result(cell)) is not None
-        }
-        errors = {label: score.n for label, score in scores.items() if label in models and score.n is not None}
+        scores = {label: score for label, cell in self.scores.items() if (score := work.result(cell)) is not None}
+        errors = {label: score.n for label, score in known.items() if label in models and score.n is not None}
         if errors or parts.test is None:
             return min(errors, key=lambda label: errors[label], default=first)
         if self.predictions:
