@@ -209,7 +209,7 @@ class Advise(CellSettings):
         """Return the label of the model with the lowest known N at the main horizon."""
         first = next(iter(models))
         scores = {label: score for label, cell in self.scores.items() if (score := work.result(cell)) is not None}
-        errors = {label: score.n for label, score in known.items() if label in models and score.n is not None}
+        errors = {label: score.n for label, score in scores.items() if label in models and score.n is not None}
         if errors or parts.test is None:
             return min(errors, key=lambda label: errors[label], default=first)
         if self.predictions:
