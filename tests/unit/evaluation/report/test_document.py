@@ -11,6 +11,8 @@ import jsonschema
 import numpy as np
 import pytest
 
+from evaluation.exploitability.optimism import Optimism
+from evaluation.exploitability.results import UnderratedController
 from evaluation.prediction import assess_prediction
 from evaluation.report import (
     ComparisonResults,
@@ -210,7 +212,7 @@ def test_a_document_that_lacks_a_key_or_has_another_kind_of_value_is_refused(val
 
 def test_a_stored_report_is_read_as_it_was_written(tmp_path, whole):
     document = to_json(whole)
-    (tmp_path / "report.json").write_text(json.dumps(document, allow_nan=False))
+    (tmp_path / "report.json").write_text(json.dumps({**document, "of_a_later_version": 1}, allow_nan=False))
     found = load_report(tmp_path)
     assert found.model_dump(mode="json", by_alias=True) == document
     assert found.prediction.models[1].name == "known"
@@ -239,6 +241,16 @@ def test_a_report_that_is_missing_or_cut_off_is_refused_with_the_remedy(tmp_path
             (tmp_path / "report.json").write_text(text)
         with pytest.raises(ArtefactError, match=r"not a readable report \(.*\); rebuild it with sysid-evo report"):
             load_report(tmp_path)
+
+
+def test_what_is_not_a_number_is_null_wherever_it_stands():
+    guess = UnderratedController("c", float("nan"), float("inf"))
+    single = Optimism(1.0, float("nan"), float("nan"), 0.5, 0, 2.0)
+    made = replace(chosen.report(), exploitability=(exploited(model="a", underrated=(guess,), optimism=single),))
+    (found,) = to_json(made)["exploitability"]
+    assert found["underrated"] == [{"controller": "c", "here": None, "elsewhere": None}]
+    assert (found["optimism"]["low"], found["optimism"]["value"]) == (None, 1.0)
+    assert json.dumps(found, allow_nan=False)
 
 
 def test_the_guide_lists_the_keys_of_the_document():
