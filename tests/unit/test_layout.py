@@ -16,7 +16,7 @@ from tests.layout import (
 )
 
 HEAVY = {
-    "cobs", "control", "cvxpy", "distributed", "filelock", "gymnasium", "jinja2", "joblib", "markupsafe",
+    "cobs", "control", "cvxpy", "distributed", "filelock", "gymnasium", "joblib",
     "matplotlib", "motioncapture", "mujoco", "natnet", "onnx", "onnxruntime", "optuna", "packaging", "pandas", "psutil",
     "pyarrow", "pysindy", "ribs", "rich", "scipy", "serial", "sklearn", "starlette", "torch", "torchdiffeq",
     "uvicorn", "websockets", "xarray",

@@ -9,14 +9,13 @@ from collections.abc import Iterator, Mapping
 from functools import cache, partial
 from importlib.resources import files
 from itertools import count
-from typing import TYPE_CHECKING
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
 
 from evaluation.plot_style import style_sheet
 from evaluation.report.elements import Cards, FigureElement, Fold, Page, ReplayElement
 from evaluation.report.render.svg import drawn
-
-if TYPE_CHECKING:
-    from markupsafe import Markup
 
 TEMPLATE = "page.html.j2"
 JOINT = re.compile(r"(?<=\w)([_+/@])(?=\w)")
@@ -25,9 +24,6 @@ JOINT = re.compile(r"(?<=\w)([_+/@])(?=\w)")
 
 def page_of(story: Page) -> str:
     """Return a page as HTML, with no link or source outside itself."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-    from markupsafe import Markup
-
     environment = Environment(
         loader=PackageLoader("evaluation.report", "page"),
         autoescape=True,
@@ -53,8 +49,6 @@ def page_of(story: Page) -> str:
 
 def _joints(text: str) -> Markup:
     """Return escaped text with places where a long name may break."""
-    from markupsafe import Markup, escape
-
     return Markup(JOINT.sub(r"\1<wbr>", str(escape(text))))
 
 
@@ -77,8 +71,6 @@ class Words:
 
     def explained(self, text: str) -> Markup:
         """Return escaped text with a button and a popover after the first use of each word."""
-        from markupsafe import Markup
-
         found = []
         for word, (form, _) in explained_words().items():
             use = None if word in self._seen else re.search(rf"(?<![\w-])(?:{form})(?![\w-])", text, re.IGNORECASE)
@@ -93,8 +85,6 @@ class Words:
         return Markup("").join([*parts, _joints(text[done:])])
 
     def _button(self, use: str, word: str) -> Markup:
-        from markupsafe import Markup
-
         return Markup(
             '<span class="word">{3}<button type="button" class="help" popovertarget="word-{0}" '
             'aria-label="What is: {1}">?</button></span><span popover id="word-{0}"><strong>{1}</strong>: {2}</span>'
