@@ -11,7 +11,7 @@ import numpy as np
 from hardware.connection import Connection
 from hardware.recording.manoeuvres import Manoeuvre
 from hardware.recording.record import RecordingJob, RecordingResult
-from hardware.robot import Robot, fastest
+from hardware.robot import Robot
 from hardware.run_report import StopRequest
 from hardware.self_test import SelfTestFinding, describe_channel
 from hardware.simulators.recording import record_simulator, samples_each
@@ -41,16 +41,22 @@ class SimulatorRobot(Robot):
         return SimulatorRunner(self.simulator)
 
     def step_seconds(self) -> float:
-        neutral = self.system.actuate(np.zeros(self.system.nu))
+        """Return the mean seconds of a step under random controls, with the resets in between.
 
-        def step() -> None:
-            _, _, ended, late = session.step(neutral)
-            if ended or late:
-                session.reset(0)
-
+        Steps at rest may be much cheaper, for example those of an integrator that chooses its steps. The first step is
+        not counted, because it may load what the others need.
+        """
+        rng, count = np.random.default_rng(0), 0
         with self.simulator.open() as session:
             session.reset(0)
-            return fastest(step)
+            session.step(self.system.actuate(np.zeros(self.system.nu)))
+            began = now = time.perf_counter()
+            while count < TIMED_STEPS and now < began + TIMED_SECONDS:
+                _, _, ended, late = session.step(self.system.actuate(rng.uniform(-1.0, 1.0, self.system.nu)))
+                if ended or late:
+                    session.reset(count)
+                count, now = count + 1, time.perf_counter()
+        return (now - began) / count
 
     def self_test(
         self, *, seconds: float, seed: int | None = None, stop: StopRequest | None = None
@@ -74,6 +80,8 @@ class SimulatorRobot(Robot):
 
 FEWEST = 200
 """Minimum number of steps that are tried."""
+TIMED_STEPS, TIMED_SECONDS = 200, 0.2
+"""The number of steps, or the time in s, after which a timing ends."""
 
 
 def simulator_findings(

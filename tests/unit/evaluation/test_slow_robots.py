@@ -47,19 +47,23 @@ class OneByOne(Cart):
 
 
 class Slow(ExternalSimulator, SimulatorSession):
-    """A simulator that takes its time."""
+    """A simulator that takes its time for a step that is not neutral; its episodes last ten steps."""
 
     name, system, settable = "slow", SYSTEM, False
+    steps = 0
 
     def open(self):
         return self
 
     def reset(self, seed, at=None):
+        self.steps = 0
         return np.zeros(2)
 
     def step(self, control):
-        Clock.now += EACH
-        return np.zeros(2), 0.0, False, False
+        assert self.steps < 10, "stepped beyond the end of an episode"
+        self.steps += 1
+        Clock.now += EACH if control[0] else 0.0
+        return np.zeros(2), 0.0, self.steps == 10, False
 
     def close(self):
         pass
@@ -69,7 +73,8 @@ class Slow(ExternalSimulator, SimulatorSession):
 def _carts(register, monkeypatch):
     register(robots, "cart", lambda: SensedRobot("cart", Cart()))
     register(robots, "slow_cart", lambda: SensedRobot("slow_cart", OneByOne()))
-    monkeypatch.setattr("hardware.robot.time", SimpleNamespace(perf_counter=Clock.look))
+    for module in ("hardware.robot", "hardware.simulators.simulator_robot"):
+        monkeypatch.setattr(f"{module}.time", SimpleNamespace(perf_counter=Clock.look))
 
 
 def planned(robot, reference=None, channel="x"):
@@ -116,5 +121,5 @@ def test_what_is_compiled_is_timed_only_where_numpy_steps_it(engine, decided, mo
     assert compiled.experiment.reference is decided
 
 
-def test_a_simulator_is_timed_step_by_step():
+def test_a_simulator_is_timed_while_it_is_driven():
     assert SimulatorRobot(Slow()).step_seconds() == pytest.approx(EACH + 1e-4)
