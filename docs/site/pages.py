@@ -21,6 +21,8 @@ INCLUDED = re.compile(r'^--8<-- "(docs/results/tables/\w+\.md)"$', re.MULTILINE)
 """A line that includes a table of results."""
 ORIGIN = re.compile(r"<!-- (.+); commit (\w+); ([\d-]+) -->")
 """The first line of a table of results: command, commit, date."""
+WRITTEN = re.compile(rf"\A{ORIGIN.pattern}\n+(# .+\n+)")
+"""The beginning of a page that a command wrote: such a line, and its title."""
 PLUGIN = re.compile(r"^# the file that `sysid-evo plugin new (\w+) --kind (\w+)` writes\n", re.MULTILINE)
 """A line in place of the file that this command writes."""
 EXAMPLE = re.compile(r"^# the file docs/(examples/\w+\.py)\n", re.MULTILINE)
@@ -70,6 +72,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **_: objec
     if FAMILIES in markdown:
         markdown = markdown.replace(FAMILIES, families())
     root = Path(config.config_file_path).parent
+    markdown = WRITTEN.sub(lambda found: found[4] + origin_line(found, docs), markdown)
     return INCLUDED.sub(lambda found: origin(root / found[1]) + found[0], markdown)
 
 
@@ -78,8 +81,13 @@ def origin(table: Path) -> str:
     found = ORIGIN.match(table.read_text(encoding="utf-8"))
     if found is None:
         raise PluginError(f"{table}: expected '<!-- COMMAND; commit COMMIT; DATE -->' in its first line")
+    return origin_line(found, table.parent)
+
+
+def origin_line(found: re.Match[str], folder: Path) -> str:
+    """Return command, commit, date and age of a first line that is found in a file of ``folder``."""
     command = f"`{found[1]}`" if found[1].startswith(("python", "sysid-evo")) else found[1]
-    return f"*{', '.join([command, f'commit {found[2]}', found[3], *age(table.parent, found[2])])}*\n\n"
+    return f"*{', '.join([command, f'commit {found[2]}', found[3], *age(folder, found[2])])}*\n\n"
 
 
 @cache

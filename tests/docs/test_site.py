@@ -94,6 +94,13 @@ def test_links_have_words_and_no_file_names_and_nobody_else_is_asked_for_anythin
         assert re.findall(r'<(?:script|link|img)[^>]+(?:src|href)="(https?://[^"]+)"', text) == [], page
 
 
+def test_a_page_that_a_study_wrote_begins_with_its_command_and_commit(site):
+    text = (site / "results" / "studies" / "procedures.html").read_text()
+    before, after = text.split("<code>sysid-evo study docs/results/studies/procedures.toml</code>, commit", 1)
+    assert before.rstrip().endswith("<p><em>")
+    assert after.index("<h2") < after.index("<table>")
+
+
 def git(folder, *words):
     """Run git in ``folder``, as somebody."""
     who = ("-c", "user.name=somebody", "-c", "user.email=somebody@example.org")
