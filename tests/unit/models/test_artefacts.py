@@ -212,7 +212,7 @@ def test_a_pickle_in_disguise_is_never_unpickled(stored, tmp_path):
         (lambda m: m["system"].pop("dt"), "not a stored linear: KeyError: 'dt'"),
         (lambda m: m["system"].update(states=5), "not a stored linear: TypeError"),
         (lambda m: m["system"].update(dt=-1.0), "not a stored linear: InvalidSystem: system: expected dt > 0 s"),
-        (lambda m: m["system"]["motion"].update(kind="balloon"), "expected one of planar_body, got 'balloon'"),
+        (lambda m: m["system"]["motion"].update(kind="balloon"), "expected one of .*planar_body.*, got 'balloon'"),
         (lambda m: m.update(system=None), "not a stored linear: KeyError: 'states'"),
         (lambda m: m["learned"].update(fit=1), "'fit' cannot be the name of something learned"),
         (lambda m: m["learned"].update(__class_=1), "'__class_' cannot be the name of something learned"),

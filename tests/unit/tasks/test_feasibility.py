@@ -20,7 +20,7 @@ def doubts(car, farthest, **sizes):
 def test_a_controller_that_fits_into_no_memory_is_refused_with_what_it_would_need(car):
     settings = ControllerEvolution(controller="recurrent(hidden=1000000000)")
     controller = settings.make_controller(settings.make_task(car))
-    with pytest.raises(InvalidArgument, match=r"000 parameters, too many for .* two candidates take 1.6e\+10"):
+    with pytest.raises(InvalidArgument, match=r"000 parameters is too large for .* two candidates take 1.6e\+10"):
         settings.make_strategy(controller.n_parameters, 0)
     experiment = Experiment(robot="emulated_car", minutes=1.0, models=("linear",), generations=10**23)
     with pytest.raises(InvalidArgument, match=r"would take about \S+ years on one processor"):
