@@ -78,7 +78,7 @@ def plot_claimed_measured(
     return ax
 
 
-LETTERS_PER_INCH = 9
+LETTERS_PER_INCH = 12
 """Letters of an axis label on an inch of the axes, wide ones such as "m" included."""
 
 REACH = 0.62
@@ -361,6 +361,8 @@ def plotted_states(trace: Trace, system: System) -> tuple[int, ...]:
 
 ROOM = 1.0
 """Room above and below the first line and the median one, in their range: a line that grows without bound is cut."""
+TWO_DECADES = 100.0
+"""Ratio of the ends of a logarithmic axis below which 2 and 5 have a mark too."""
 
 
 def plot_responses(
@@ -377,7 +379,7 @@ def plot_responses(
 
     ``label`` names the x-axis. With ``log`` both axes are logarithmic.
     """
-    from matplotlib.ticker import FuncFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator
 
     axes = figure.subplots(len(states), len(controls), sharex=True, squeeze=False)
     for (row, column), ax in np.ndenumerate(axes):
@@ -389,7 +391,8 @@ def plot_responses(
         if log:
             ax.set(xscale="log", yscale="log")
             ax.minorticks_off()
-            for axis in (ax.xaxis, ax.yaxis):
+            for axis, ends in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
+                axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if ends[1] < TWO_DECADES * ends[0] else (1.0,)))
                 axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         else:
             ends = np.nan_to_num(np.array([lines.min(axis=1), lines.max(axis=1)]))
