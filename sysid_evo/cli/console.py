@@ -30,8 +30,8 @@ INTERRUPTED = 128 + signal.SIGINT
 """Exit code of a command that was stopped with Ctrl-C."""
 
 EXIT_CODES = (
-    "Exit codes: 0 success; 2 wrong usage or input; 3 some steps failed (the others finished; reasons are listed); "
-    "4 robot, link or scheduler; 130 interrupted."
+    "Exit codes: 0 success; 1 a plugin breaks its contract; 2 wrong usage or input; 3 some steps failed (the others "
+    "finished; reasons are listed); 4 robot, link or scheduler; 130 interrupted."
 )
 
 INTERRUPTING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE)

@@ -136,6 +136,13 @@ def list_models(
         if row["lacking"]:
             table.add_row("", "", Text(f"cannot run here: {row['lacking']}", style="yellow"))
     out.print(table)
+    out.print(Text(KNOWLEDGE))
+
+
+KNOWLEDGE = (
+    "assumes: black nothing, dark grey a differential equation, grey equations of the system whose parameters are "
+    "fitted"
+)
 
 
 def families_as_markdown() -> str:

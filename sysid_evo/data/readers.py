@@ -342,7 +342,7 @@ def _place(name: str, header: Sequence[str], path: Path) -> int:
         raise InvalidData(f"{path.name}, row 1: the header names the column {name!r} {len(found)} times")
     lower = {column.lower(): column for column in header}
     close = closest(name.lower(), lower)
-    hint = f" Did you mean {lower[close]!r}?" if close else ""
+    hint = f" Did you mean {lower[close]!r}?" if close else " Every log needs all columns of the map."
     raise InvalidData(f"{path.name}, row 1: column {name!r} is missing.{hint} The header has: {', '.join(header)}.")
 
 

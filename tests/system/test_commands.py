@@ -130,6 +130,9 @@ def test_models_list_names_every_family_as_table_and_as_json(call):
     rows = json.loads(document.stdout)
     assert {"linear", "nearest_neighbour", "parametrised"} <= {row["name"] for row in rows}
     assert all(row["name"] in table.stdout and row["summary"] for row in rows)
+    explained = " ".join(table.stdout.split()).partition("assumes: ")[2]
+    assert {row["knowledge"] for row in rows} <= {"black", "dark grey", "grey"}
+    assert all(f"{row['knowledge']} " in explained for row in rows)
 
 
 def test_models_list_writes_a_markdown_table_for_the_documentation(call):

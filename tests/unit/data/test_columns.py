@@ -279,6 +279,14 @@ def test_a_log_too_slow_for_its_dt_is_not_asked_for_states_that_it_has(motor):
         Dataset.read(**motor(("dt = 0.05", "dt = 0.02"), (rate, "")))
 
 
+def test_a_log_of_commands_alone_is_refused_with_a_reason(motor):
+    files = motor()
+    other = files["paths"].with_name("commands.csv")
+    other.write_text("t,u\n0,1\n50,-1\n")
+    with pytest.raises(InvalidData, match=r"column 'enc' is missing\. Every log needs all columns .* has: t, u\."):
+        Dataset.read(other, columns=files["columns"])
+
+
 def test_a_clock_that_restarts_asks_for_another_file(motor):
     files = motor()
     lines = files["paths"].read_text().splitlines()
