@@ -19,7 +19,7 @@ from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.halving import Halving, Start
 from sysid_evo.evolution.loop import Schedule, Stage
-from sysid_evo.evolution.margins import best_candidate, candidate_margins
+from sysid_evo.evolution.margins import best_candidate, lasting_fitness, margins_of
 from sysid_evo.evolution.runs import FinishedRun, Runs, evolution_digest
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, make_strategy
 from sysid_evo.models.disturbances import Disturbed, DomainRandomisation
@@ -123,8 +123,10 @@ class ControllerEvolution:
         """Return the uncertainty penalty, None without one."""
         return penalties.make(self.penalty) if self.penalty else None
 
-    def make_strategy(self, n_parameters: int, seed: int, spec: Spec | None = None) -> EvolutionStrategy:
-        """Return the strategy, or that of ``spec``.
+    def make_strategy(
+        self, n_parameters: int, seed: int, spec: Spec | None = None, *, initial: Array | None = None
+    ) -> EvolutionStrategy:
+        """Return the strategy, or that of ``spec``; it starts from ``initial`` (n,) if it has such a parameter.
 
         Raises `InvalidArgument` if two candidates or its state do not fit into memory.
         """
@@ -136,12 +138,18 @@ class ControllerEvolution:
         try:
             if 2.0 * size > memory:
                 raise MemoryError(f"two candidates take {2.0 * size:.3g} of {memory:.3g} GB of memory")
-            return make_strategy(spec, n_parameters=n_parameters, seed=seed)
+            from_there = initial is not None and INITIAL in strategies.parameters(spec.name)
+            begin = {INITIAL: initial} if from_there else {}
+            return make_strategy(spec, n_parameters=n_parameters, seed=seed, **begin)
         except MemoryError as error:
             raise InvalidArgument(
                 f"evolution: a controller of {n_parameters:,} parameters is too large for {spec} on this machine: "
                 f"{error}. Use a smaller controller"
             ) from error
+
+
+INITIAL = "initial"
+"""Parameter of the strategies that can start from given parameters of a controller."""
 
 
 def evolve_controller(
@@ -151,13 +159,15 @@ def evolve_controller(
     settings: ControllerEvolution,
     *,
     seed: int,
+    initial: Array | None = None,
     checkpoint: Checkpoint | None = None,
     progress: Progress | bool | None = None,
 ) -> Champion:
     """Return the fittest controller of an evolution against all ``runners`` (or models) together.
 
     The result depends on ``seed`` and the arguments alone. `choose` selects among its finalists by their score on
-    other models. ``progress`` is called after every generation with a note of the fitness; True shows a bar.
+    other models. ``initial`` (n,) are parameters from which the first run starts, if its strategy has a parameter of
+    this name. ``progress`` is called after every generation with a note of the fitness; True shows a bar.
 
     With a ``checkpoint``, for example `CheckpointFile`, an evolution that was interrupted or killed resumes from
     there and ends with the same champion.
@@ -186,7 +196,12 @@ def evolve_controller(
     def start_run(run: int, ended: Sequence[FinishedRun]) -> tuple[EvolutionStrategy, Schedule]:
         start, *continued = lineage(run, ended)
         start_of[run] = start
-        strategy = settings.make_strategy(laws[start].n_parameters, derived_seed(seed, start), starts[start].strategy)
+        strategy = settings.make_strategy(
+            laws[start].n_parameters,
+            derived_seed(seed, start),
+            starts[start].strategy,
+            initial=initial if start == 0 else None,
+        )
         strategy.prepare(
             behaviour_names=behaviour_names(system),
             control_names=system.control_names,
@@ -197,10 +212,10 @@ def evolve_controller(
         easier = [(stage, objective(run, start, stage_task, labels)) for stage, stage_task, labels in stages]
         return strategy, Schedule(easier, objective(run, start, task, models), max_fitness=task.max_fitness)
 
-    def margins(start: int, candidates: Array, rows: IntArray, scale: float) -> Array:
+    def margins(start: int, candidates: Array, rows: IntArray) -> Array:
         delay = settings.estimator_delay
         law, goal = starts[start].controller, settings.task
-        return candidate_margins(candidates[rows], runners, law, goal, system, seeds, scale=scale, delay=delay)
+        return margins_of(lasting_fitness(candidates[rows], runners, law, goal, system, seeds, delay=delay))
 
     def finalists_of(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
         found, final = [], objective(run, start_of[run], task, models)
@@ -210,13 +225,14 @@ def evolve_controller(
             found.append(Finalist(behaviour_class, run, float(scores.fitness[winner]), candidates[winner]))
         return tuple(found)
 
+    inputs = [repr(settings), *([] if initial is None else initial.tolist())]
     runs = Runs(
         (settings.generations,) * settings.repeats if halving is None else halving.lengths,
         start_run,
         finalists_of,
         models=(*(labels for _, _, labels in stages), models),
         checkpoint=checkpoint,
-        identity="" if checkpoint is None else evolution_digest([repr(settings)], runners, laws[0], task, seed),
+        identity="" if checkpoint is None else evolution_digest(inputs, runners, laws[0], task, seed),
     )
     with reporting(progress, f"evolve {name}") as report:
         ended = runs.finish(report)

@@ -37,11 +37,10 @@ def has_all_fitness(by_trial: Array, worst: float) -> BoolArray:
     return found
 
 
-def best_candidate(scores: Scores, worst: float, margins: Callable[[IntArray, float], Array]) -> int:
+def best_candidate(scores: Scores, worst: float, margins: Callable[[IntArray], Array]) -> int:
     """Return the index of the fittest candidate; of those with all the fitness there is, of the largest margin.
 
-    ``margins`` returns the margins of the candidates with these indices, in units of that fitness; it is called if
-    there are two or more.
+    ``margins`` returns the margins of the candidates with these indices; it is called if there are two or more.
     """
     fitness = scores.fitness
     best = int(np.argmax(fitness))  # of equals the first
@@ -49,10 +48,19 @@ def best_candidate(scores: Scores, worst: float, margins: Callable[[IntArray, fl
         return best
     near = fitness >= fitness[best] - EQUAL_SHARE * abs(fitness[best])
     equal = np.flatnonzero(has_all_fitness(scores.by_trial, worst) & near)
-    return int(equal[np.argmax(margins(equal, float(fitness[best])))]) if best in equal and len(equal) > 1 else best
+    return int(equal[np.argmax(margins(equal))]) if best in equal and len(equal) > 1 else best
 
 
-def candidate_margins(
+def margins_of(lasting: Array) -> Array:
+    """Return the margin (P,) of each candidate: its share of the highest fitness, minus its share of time outside.
+
+    ``lasting`` (P, 2) is that of `lasting_fitness`.
+    """
+    size = float(np.abs(lasting[:, 0]).max()) or 1.0
+    return np.asarray(lasting[:, 0] / size - lasting[:, 1])
+
+
+def lasting_fitness(
     population: Array,
     runners: Mapping[str, Runner],
     controller: Spec,
@@ -60,28 +68,29 @@ def candidate_margins(
     system: System,
     seeds: Seeds,
     *,
-    scale: float,
     delay: float = 0.0,
 ) -> Array:
-    """Return the margin (P,) of each candidate: its fitness under noise, minus its time outside the data.
+    """Return the fitness of each candidate under noise, and its share of time outside the data, (P, 2).
 
-    Both are means over the trials ``seeds`` in those of ``runners`` that are models. Fitness is in units of ``scale``,
-    the fitness that all candidates have; a trial outside the training data, see `UncertaintyPenalty`, loses 1.
-    The horizon is `HORIZON_MULTIPLE` times that of the task, if the task has such a parameter. Zeros without a model.
+    Both are means over the trials ``seeds`` in those of ``runners`` that are models. A step is outside as for
+    `UncertaintyPenalty`. The horizon is `HORIZON_MULTIPLE` times that of the task, if the task has such a parameter. Zeros
+    without a model.
     """
     horizon = make_task(task).bind(system).horizon
-    lasting = task
-    if "horizon" in tasks.parameters(task.name):
-        lasting = Spec(task.name, {**task.parameters, "horizon": HORIZON_MULTIPLE * horizon}, task.label)
-    goal, law = make_task(lasting).bind(system), make_controller(controller)
-    fitness, outside = [], []
+    goal, law = make_task(with_horizon(task, HORIZON_MULTIPLE * horizon)), make_controller(controller)
+    found = []
     for runner in runners.values():
         if isinstance(runner, DynamicsRunner) and getattr(runner.dynamics, "training_sample_", None) is not None:
             checked = UncertaintyPenalty(outside=1.0).around(runner.dynamics)
             bound = DynamicsRunner(Disturbed(checked, NOISE, delay=delay), runner.engine, runner.threads)
             run = bound.bind(law, goal)(population, seeds[:MARGIN_TRIALS])
-            fitness.append(run.fitness)
-            outside.append(np.minimum(run.penalty / np.maximum(run.survived, 1), 1.0))
-    if not fitness:
-        return np.zeros(len(population))
-    return np.asarray(np.mean(fitness, axis=(0, 2)) / (abs(scale) or 1.0) - np.mean(outside, axis=(0, 2)))
+            outside = np.minimum(run.penalty / np.maximum(run.survived, 1), 1.0)
+            found.append(np.stack([run.fitness.mean(axis=1), outside.mean(axis=1)], axis=1))
+    return np.mean(found, axis=0) if found else np.zeros((len(population), 2))
+
+
+def with_horizon(task: Spec, horizon: int) -> Spec:
+    """Return ``task`` with another horizon, unchanged if it has no such parameter."""
+    if "horizon" not in tasks.parameters(task.name):
+        return task
+    return Spec(task.name, {**task.parameters, "horizon": horizon}, task.label)

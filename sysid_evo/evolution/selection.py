@@ -21,7 +21,7 @@ from sysid_evo.evolution.controller_evolution import (
 )
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.loop import Schedule, Scores
-from sysid_evo.evolution.margins import EQUAL_SHARE, best_candidate, candidate_margins
+from sysid_evo.evolution.margins import EQUAL_SHARE, best_candidate, lasting_fitness, margins_of
 from sysid_evo.evolution.runs import FinishedRun, Runs, evolution_digest
 from sysid_evo.evolution.strategies.cma_es import CmaEs
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy
@@ -54,7 +54,7 @@ def choose(
     these should be of *other* families than the models of its evolution: fitness in its own model hardly predicts
     fitness on the robot, and fitness in other families ranks controllers as the robot does. A champion without
     scoring models keeps its fittest finalist; if only some champions have scoring models, only those are compared.
-    Of finalists that have all the fitness there is, the one with the largest margin wins, see `candidate_margins`.
+    Of finalists that have all the fitness there is, the one with the largest margin wins, see `lasting_fitness`.
     The result holds the finalists of all champions with their scores. Raises `InvalidArgument` without a champion.
     """
     if not searched:
@@ -90,17 +90,17 @@ def _largest_margin(near: Sequence[tuple[Finalist, Champion, Mapping[str, Runner
         assert found is not None
         return found[0]
 
-    def margins(rows: IntArray, scale: float) -> Array:
+    def margins(rows: IntArray) -> Array:
         found = []
         for finalist, champion, models in (near[row] for row in rows):
             assert champion.system is not None
             found.append(
-                candidate_margins(
+                lasting_fitness(
                     finalist.parameters[None], models, champion.controller, champion.task, champion.system, seeds,
-                    scale=scale, delay=champion.estimator_delay,
+                    delay=champion.estimator_delay,
                 )[0]
             )  # fmt: skip
-        return np.array(found)
+        return margins_of(np.array(found))
 
     first = near[0][1]
     assert first.system is not None
@@ -191,15 +191,15 @@ def polish(
         )
         return strategy, Schedule((), objective(run), max_fitness=task.max_fitness)
 
-    def margins(candidates: Array, scale: float) -> Array:
+    def margins(candidates: Array) -> Array:
         kept, delay = {label: runners[label] for label in used}, settings.estimator_delay
         law, goal = champion.controller, settings.task
-        return candidate_margins(candidates, kept, law, goal, task.system, seeds, scale=scale, delay=delay)
+        return margins_of(lasting_fitness(candidates, kept, law, goal, task.system, seeds, delay=delay))
 
     def finalists_of(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
         candidates = np.concatenate([chosen[run].parameters[None], strategy.elite])
         scores = objective(run).on_trials(candidates, seeds)
-        winner = best_candidate(scores, task.worst, lambda rows, scale: margins(candidates[rows], scale))
+        winner = best_candidate(scores, task.worst, lambda rows: margins(candidates[rows]))
         label = f"{POLISHED} {chosen[run].behaviour_class}".strip()
         return (Finalist(label, run, float(scores.fitness[winner]), candidates[winner]),)
 

@@ -6,7 +6,7 @@ import pytest
 from sysid_evo.data import Dataset
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.evolution import Champion, ControllerEvolution, Finalist, Scores, choose, evolve_controller
-from sysid_evo.evolution.margins import best_candidate, candidate_margins, has_all_fitness
+from sysid_evo.evolution.margins import best_candidate, has_all_fitness, lasting_fitness, margins_of
 from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import Spec
@@ -58,10 +58,11 @@ def test_of_two_equal_claims_the_one_that_does_not_drift_to_the_end_is_chosen(ca
 def test_a_drift_costs_margin_and_noise_is_the_same_for_all(cart):
     seeds = trial_seeds(0, 8)
     runners = {"a": DynamicsRunner(cart)}
-    margins = candidate_margins(np.stack([DRIFTS, HOLDS]), runners, LINEAR, TASK, CART, seeds, scale=1.0)
-    assert margins[1] > margins[0] + 0.3
-    again = candidate_margins(HOLDS[None], runners, LINEAR, TASK, CART, seeds, scale=1.0)
-    assert again[0] == margins[1]
+    both = lasting_fitness(np.stack([DRIFTS, HOLDS]), runners, LINEAR, TASK, CART, seeds)
+    np.testing.assert_allclose(both[:, 0], [1.0, 1.0])  # the mean of one a step, over a longer horizon
+    assert both[0, 1] > both[1, 1] + 0.3
+    np.testing.assert_allclose(margins_of(both), 1.0 - both[:, 1])
+    np.testing.assert_array_equal(lasting_fitness(HOLDS[None], runners, LINEAR, TASK, CART, seeds)[0], both[1])
 
 
 def test_the_champion_of_an_evolution_that_reaches_everything_stays_inside_the_data(cart):
@@ -70,7 +71,7 @@ def test_the_champion_of_an_evolution_that_reaches_everything_stays_inside_the_d
     )
     made = evolve_controller("c", {"a": cart}, CART, settings, seed=0)
     seeds, everyone = trial_seeds(5, 8), np.stack([made.parameters, *made.population])
-    margin = candidate_margins(everyone, {"a": DynamicsRunner(cart)}, LINEAR, TASK, CART, seeds, scale=1.0)
+    margin = margins_of(lasting_fitness(everyone, {"a": DynamicsRunner(cart)}, LINEAR, TASK, CART, seeds))
     assert margin[0] > np.median(margin[1:])
 
 
@@ -83,5 +84,5 @@ def test_only_nearly_the_highest_fitness_in_nearly_all_trials_is_everything():
 def test_a_higher_fitness_counts_more_than_any_margin():
     by_trial = np.stack([np.full(4, 10.0), np.full(4, 10.0), np.full(4, 9.0)])
     scores = Scores(np.array([9.96, 10.0, 9.0]), by_trial=by_trial)
-    assert best_candidate(scores, 0.0, lambda rows, scale: -rows.astype(float)) == 0
+    assert best_candidate(scores, 0.0, lambda rows: -rows.astype(float)) == 0
     assert best_candidate(Scores(np.array([9.0, 10.0, 9.0]), by_trial=by_trial), 0.0, lambda *_: 1 / 0) == 1
