@@ -122,6 +122,15 @@ class Experiment(BaseModel):
     estimator_delay: Seconds = setting(
         0.0, "State-estimate latency, such as 50ms, simulated in evolution and scoring", "Robustness", "TIME", ge=0.0
     )
+    rounds: Positive | None = setting(
+        None, "Rounds: record under the evolved controller and noise, fit to all data, evolve on", "Rounds", "N",
+        shown="1",
+    )  # fmt: skip
+    command_noise: float = setting(
+        0.2, "Noise on the commands while a round is recorded, as a share of half their range", "Rounds", "SHARE",
+        ge=0.0, lt=1.0,
+    )  # fmt: skip
+    max_steps: Positive = setting(20_000, "Most steps recorded in all rounds", "Rounds", "N")
     preset: Literal["quick", "standard", "paper"] = setting(
         "quick", "Budget: quick, standard or paper", "Budget", "NAME"
     )
@@ -194,7 +203,7 @@ Settings = TypedDict("Settings", {  # noqa: UP013  # several in a line
     "noise": str | None, "penalty": str, "starts": str | None, "schedule": str, "generations": int | None,
     "trials": int | None, "repeats": int | None, "polish_generations": int | None, "selection_trials": int,
     "estimator_delay": float, "transfer_trials": int, "traces": int, "reference": bool | None, "seed": int,
-    "plugins": Sequence[str | Path],
+    "rounds": int | None, "command_noise": float, "max_steps": int, "plugins": Sequence[str | Path],
 }, total=False)  # fmt: skip
 """The keywords of `evaluation.compare`, for type checkers; see `Experiment`."""
 
@@ -202,7 +211,7 @@ OF_CONTROLLERS = (
     "task", "controller", "baselines", "strategy", "procedure", "aggregate", "noise", "penalty", "starts", "schedule",
     "generations", "trials", "repeats", "polish_generations", "selection_trials", "estimator_delay", "transfer_trials",
     "traces", "reference",
-    "ensembles",
+    "ensembles", "rounds", "command_noise", "max_steps",
 )  # fmt: skip
 NO_CONTROLLERS = {"stop_after": ("fit", "prediction")}
 
@@ -215,8 +224,32 @@ MEANINGLESS = (
     Meaningless(("columns",), "no logs are read", unless=("data",)),
     Meaningless(("controller", "strategy"), "the starts name their own", {"starts": ()}),
     Meaningless(("polish_generations",), "nothing is polished", {"procedure": ("plain",)}),
+    Meaningless(("command_noise", "max_steps"), "nothing is recorded in rounds", unless=("rounds",)),
 )
 """Settings that others make meaningless: giving both is refused."""
+
+
+IN_ROUNDS: Mapping[str, Any] = {
+    "models": ("gaussian_process", "mlp_ensemble"),
+    "controller": "linear",
+    "strategy": "cma_es(sigma=0.3)",
+    "procedure": "plain",
+    "generations": 80,
+    "trials": 5,
+    "repeats": 2,
+    "reference": False,
+}
+"""Settings of a comparison in rounds, unless they are given."""
+FIRST_STEPS = 1600
+"""Steps of the first recording of a comparison in rounds, unless its length is given."""
+
+
+def with_rounds(experiment: Experiment, dt: float) -> Experiment:
+    """Return an experiment in rounds with the settings `IN_ROUNDS` and a short first recording at ``dt`` (s)."""
+    usual = {name: value for name, value in IN_ROUNDS.items() if getattr(experiment, name) is None}
+    if "minutes" not in experiment.model_fields_set:
+        usual["minutes"] = max(0.1, FIRST_STEPS * dt / 60.0)
+    return experiment.model_copy(update=usual)
 
 
 def meaningful(settings: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:

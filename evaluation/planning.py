@@ -24,9 +24,11 @@ from evaluation.cells.data import GivenData, HoldOut, RecordedData
 from evaluation.cells.learned_task import LearnTask, learning_cell, needed
 from evaluation.cells.models import Fit, LeaveConditionsOut, Predict, ScoreFit
 from evaluation.cells.plants import Plant, runner_of
-from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, FILE, Experiment, check_settings, with_task
+from evaluation.cells.rounds import ChooseRound, Round, RoundData
+from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, FILE, Experiment, check_settings, with_rounds, with_task
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
 from evaluation.prediction.scores import PERSISTENCE
+from evaluation.rounds import ROUNDS
 from evaluation.transfer.matrix import AT_RANDOM, AT_REST, MeasuredResult, kept_traces, load_measured
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Dataset, check_usable
@@ -80,6 +82,7 @@ class Comparison:
     conditions: Mapping[str, Cell[LeaveConditionsOut]] = field(default_factory=dict)
     held_out_scores: Mapping[str, Cell[ScoreFit]] = field(default_factory=dict)
     learned: Cell[LearnTask] | None = None
+    last_round: Cell[Round] | None = None
 
     @property
     def title(self) -> str:
@@ -105,17 +108,23 @@ def plan_comparison(
     remarks: list[str] = []
     check_settings(experiment, has_data=dataset is not None or held is not None)
     robot = _robot(experiment, has_data=dataset is not None or held is not None)
+    if held is None:
+        system = dataset.system if dataset is not None else make_robot(robot or robot_spec(DEFAULT_ROBOT)).system
+    else:
+        system = held[1]
+    in_rounds = experiment.stop_after is None and (experiment.rounds or 1) > 1
+    if in_rounds:
+        experiment = with_rounds(experiment, system.dt)
     if experiment.stop_after is None:
         experiment = with_task(experiment, (robot,))
     evolution = evolution_settings(experiment)
     _constructible(evolution)
-    if held is not None:
-        data, system = held
-    else:
-        system = dataset.system if dataset is not None else make_robot(robot or robot_spec(DEFAULT_ROBOT)).system
-        data = _data(experiment, robot, dataset)
+    first = data = held[0] if held is not None else _data(experiment, robot, dataset, whole=in_rounds)
     specs = models_of(experiment, system, remarks)
     ensembles = ensembles_of(experiment, tuple(spec.label for spec in specs))
+    last = _last_round(experiment, robot, system, first, specs) if in_rounds else None
+    if last is not None:
+        data = RoundData(last, HoldOut(experiment.test, experiment.held_out)).cell()
     fits = {spec.label: Fit(spec, data, experiment.seed, experiment.preset).cell() for spec in specs}
     predictions: dict[str, Cell[Predict]] = {}
     if experiment.stop_after != "fit":
@@ -144,6 +153,7 @@ def plan_comparison(
             tuple(measured),
             _baselines(experiment, evolution, system, fits, learned),
             learned,
+            last,
             reference=reference,
         )
         if column is not None and column.timed:
@@ -160,7 +170,7 @@ def plan_comparison(
             "models": tuple(map(str, specs)),
             "ensembles": tuple("+".join(members) for members in ensembles),
             "robot": None if robot is None else experiment.robot or DEFAULT_ROBOT,
-            "data_digest": data.digest,
+            "data_digest": first.digest,
         }
     )
     advice = Advise(data, fits, predictions, matrix, experiment.seed, held_out_scores).cell()
@@ -171,7 +181,18 @@ def plan_comparison(
     wanted.append(advice)
     plan = Plan.of(wanted, remarks=remarks)
     return Comparison(
-        settled, plan, data, fits, predictions, advice, matrix, exploitability, without, held_out_scores, learned
+        settled,
+        plan,
+        data,
+        fits,
+        predictions,
+        advice,
+        matrix,
+        exploitability,
+        without,
+        held_out_scores,
+        learned,
+        last,
     )
 
 
@@ -328,9 +349,32 @@ def _robot_column(experiment: Experiment, robot: Spec | None, system: System, re
     return None
 
 
-def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None) -> Cell:
+def _last_round(
+    experiment: Experiment, robot: Spec | None, system: System, first: Cell, specs: tuple[Spec, ...]
+) -> Cell[Round]:
+    """Return the cell of the last round, which needs all others; ``first`` is the recording before them.
+
+    Raises `InvalidArgument` without a robot that is a program.
+    """
+    column = _robot_column(experiment, robot, system, [])
+    if column is None:
+        raise InvalidArgument(
+            "rounds: expected a robot that is a program, such as an environment; name it with --robot"
+        )
+    found: Cell[Round] | None = None
+    for number in range(1, (experiment.rounds or 1) + 1):
+        found = Round(
+            number, first, found, column, specs, evolution_settings(experiment), experiment.command_noise,
+            experiment.max_steps, experiment.seed, experiment.preset,
+        ).cell()  # fmt: skip
+    assert found is not None
+    return found
+
+
+def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None, *, whole: bool = False) -> Cell:
+    """Return the cell of the recordings; ``whole`` ones are split later, with those of the rounds."""
     share = 0.0 if experiment.stop_after == "fit" and experiment.test is None else experiment.held_out
-    split = HoldOut(experiment.test, share)
+    split = HoldOut(None, 0.0) if whole else HoldOut(experiment.test, share)
     if dataset is None and experiment.test is not None:
         raise InvalidArgument("test: a recording that is still to be made has no named episodes; use --data for that")
     if share == 0.0 and experiment.test is None and experiment.stop_after != "fit":
@@ -410,13 +454,16 @@ def _matrix(
     measured: tuple[MeasuredResult, ...],
     baselines: tuple[ControllerCell, ...],
     learned: Cell[LearnTask] | None,
+    last: Cell[Round] | None,
     *,
     reference: bool,
 ) -> PlannedMatrix:
     by_label = {column.label: column for column in models}
     columns = models if robot is None else (*models, robot)
-    groups: list[tuple[Plant, ...]] = [(column,) for column in models]
-    groups += [tuple(by_label[member] for member in members) for members in ensembles]
+    groups: list[tuple[Plant, ...]] = []
+    if last is None:
+        groups += [(column,) for column in models]
+        groups += [tuple(by_label[member] for member in members) for members in ensembles]
     if robot is not None and reference:
         groups.append((robot,))
     evolved = tuple(
@@ -438,6 +485,8 @@ def _matrix(
                     learned=learned,
                 ),
             )
+    if last is not None:
+        champions = (ChooseRound(last, models, ROUNDS).cell(), *champions)
     champions += baselines
     names = [champion.name for champion in champions]
     taken = [cell.name for cell in baselines if names.count(cell.name) > 1]

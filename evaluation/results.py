@@ -13,6 +13,7 @@ from evaluation.behaviour import DrivingSummary, driving_summaries
 from evaluation.exploitability.results import ModelExploitability, outside_shares
 from evaluation.linearisation import LinearResponse, OperatingPoint, linearised
 from evaluation.prediction.scores import ConditionError, Prediction, error_of
+from evaluation.rounds import RoundsSummary
 from evaluation.transfer.forecast import Forecast, ModelForecast, best_choice, forecasts, model_forecasts
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import TransferSummary, chosen_by, summarise
@@ -48,6 +49,7 @@ class ComparisonResults(Displayed):
     controllers: Mapping[str, str] = field(default_factory=dict)
     conditions: Mapping[str, tuple[ConditionError, ...]] = field(default_factory=dict)
     task_notes: tuple[str, ...] = ()
+    rounds: RoundsSummary | None = None
     day: date | None = None
 
     def facts(self) -> Mapping[str, str]:

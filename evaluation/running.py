@@ -18,6 +18,7 @@ from evaluation.prediction.scores import PERSISTENCE, ModelPrediction, Predictio
 from evaluation.report.report import PrintedReport, save_report
 from evaluation.report.study import save_study
 from evaluation.results import ComparisonResults, DataSummary, Failure, ModelSummary
+from evaluation.rounds import RoundsSummary
 from evaluation.run_folder import CHOSEN, check_run_folder
 from evaluation.study.planning import PlannedStudy, plan_study
 from evaluation.study.results import StudyResults, gather_study, save_parquet
@@ -273,6 +274,7 @@ def gather_results(comparison: Comparison, store: Store) -> ComparisonResults:
             if (outcome := store.outcome(cell)).value is not None
         },
         task_notes=_task_notes(comparison, store),
+        rounds=_rounds(comparison, store),
         timings={cell.title: store.outcome(cell).seconds for cell in comparison.plan},
         day=None if computed is None else computed.date(),
     )
@@ -282,6 +284,11 @@ def _task_notes(comparison: Comparison, store: Store) -> tuple[str, ...]:
     """Return sentences on the reward that the task has learned; none if it did not learn."""
     learned = None if comparison.learned is None else store.outcome(comparison.learned).value
     return () if learned is None else learned.sentences
+
+
+def _rounds(comparison: Comparison, store: Store) -> RoundsSummary | None:
+    found = None if comparison.last_round is None else store.outcome(comparison.last_round).value
+    return None if found is None else found.summary
 
 
 MATRIX_KINDS = ("run",)

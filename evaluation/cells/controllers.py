@@ -302,7 +302,13 @@ class Baseline(CellSettings):
         return Champion.baseline(named_models(self.spec, files), task, self.system)
 
 
-ControllerCell: TypeAlias = Cell[Evolve | Choose | Polish | Baseline]
+class ControllerSettings(CellSettings):
+    """Settings of another cell that gives a controller, evolved against ``members``."""
+
+    members: tuple[Plant, ...]
+
+
+ControllerCell: TypeAlias = Cell[Evolve | Choose | Polish | Baseline | ControllerSettings]
 """A cell that gives a controller; the ``members`` of its settings are the plants it was evolved against."""
 
 CONTROLLERS = ResultType("controllers", lambda value, path, _: files_of(save_champion(value, path)), load_champion)

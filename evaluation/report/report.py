@@ -29,6 +29,7 @@ from evaluation.report.sections import (
     models,
     prediction,
     replay,
+    rounds,
     run,
     transfer,
 )
@@ -46,6 +47,7 @@ from evaluation.report.sections.evolution import EvolutionPart
 from evaluation.report.sections.exploitability import ExploitabilityPart
 from evaluation.report.sections.models import ModelPart
 from evaluation.report.sections.prediction import PredictionPart, condition_table, error_table
+from evaluation.report.sections.rounds import RoundsPart
 from evaluation.report.sections.run import RunPart, TimingsPart
 from evaluation.report.sections.summary import SAID, facts, headlines, is_empty, page_title, verdict, warnings
 from evaluation.report.sections.transfer import TransferPart
@@ -60,6 +62,7 @@ DOCUMENT, PAGE = "report.json", "report.html"
 
 SECTIONS: tuple[Callable[[ComparisonResults], Section | None], ...] = (
     controllers.section,
+    rounds.section,
     replay.section,
     exploitability.section,
     prediction.section,
@@ -140,6 +143,7 @@ class ReportDocument(Part):
     exploitability: tuple[ExploitabilityPart, ...]
     prediction: PredictionPart | None
     error_analysis: ErrorAnalysisPart | None
+    rounds: RoundsPart | None
     models: tuple[ModelPart, ...]
     advice: AdvicePart | None
     behaviour: tuple[BehaviourPart, ...]
@@ -162,6 +166,7 @@ class ReportDocument(Part):
             exploitability=tuple(map(ExploitabilityPart.model_validate, report.exploitability)),
             prediction=None if prediction is None else PredictionPart.of(prediction, report.conditions),
             error_analysis=None if prediction is None else ErrorAnalysisPart.of(prediction),
+            rounds=None if report.rounds is None else RoundsPart.model_validate(report.rounds),
             models=tuple(map(ModelPart.of, report.models)),
             advice=None if report.advice is None else AdvicePart.model_validate(report.advice),
             behaviour=() if matrix is None else tuple(behaviour_parts(report.driving_summaries, matrix)),
@@ -250,7 +255,7 @@ def brief(report: ComparisonResults, *, folder: str | Path = "") -> list[Rendera
     short = fitness_table(report, short=True)
     if short is None and report.prediction is not None and report.prediction.horizons:
         short = error_table(report.prediction)
-    for sheet in (short, condition_table(report.conditions)):
+    for sheet in (rounds.rounds_table(report), short, condition_table(report.conditions)):
         parts += [] if sheet is None else table_lines(sheet)
     pick = None if report.transfer is None else report.transfer.pick
     if pick is not None and (command := use_command(report, pick, folder=folder)) is not None:

@@ -1,0 +1,72 @@
+"""Rounds of recording: the controller of each, its claim, its fitness on the robot, the error of its models."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid_evo.types import Array, IntArray
+
+ROUNDS = "rounds"
+"""Name of the controller that is chosen among those of all rounds."""
+ERROR_STEPS = 20
+"""Steps after which the error of the models of a round is measured, on its new episodes."""
+PREDICTS = 0.5
+"""Error ahead up to which the models of a round predict its episodes."""
+HOLDS = 0.1
+"""Share of a claim that may be missing in the recorded episodes of a round whose claim holds."""
+
+
+@dataclass(frozen=True)
+class RecordingRound:
+    """The controller of one round, and the episodes that were recorded under it and noise.
+
+    ``parameters`` (n,) are those of the controller. ``claimed`` (E,) is its fitness in the models, ``achieved`` (E,)
+    that of each episode on the robot; both under the same noise and over the same number of steps. ``steps`` (E,) are
+    the recorded ones. ``errors`` gives the error of each model `ERROR_STEPS` steps ahead on these episodes, in standard
+    deviations of the data; the models were fitted without them.
+    """
+
+    number: int
+    parameters: Array
+    claimed: Array
+    achieved: Array
+    steps: IntArray
+    errors: Mapping[str, float]
+
+    @property
+    def is_predicted(self) -> bool:
+        """Whether one of the models predicts the new episodes well enough."""
+        return min(self.errors.values(), default=np.inf) <= PREDICTS
+
+    @property
+    def holds(self) -> bool:
+        """Whether the episodes achieve what the models claimed, up to a tenth of it and two standard errors."""
+        claimed, achieved = float(self.claimed.mean()), float(self.achieved.mean())
+        error = float(self.achieved.std(ddof=1) / np.sqrt(len(self.achieved)))
+        return achieved >= claimed - max(HOLDS * abs(claimed), 2.0 * error)
+
+    @property
+    def no_gain_over(self) -> float:
+        """Fitness that a later round must exceed to be better: the mean achieved plus its standard error, twice."""
+        return float(self.achieved.mean() + 2.0 * self.achieved.std(ddof=1) / np.sqrt(len(self.achieved)))
+
+
+@dataclass(frozen=True)
+class RoundsSummary:
+    """All rounds so far, the steps of the ``first`` recording, and the median length of its episodes.
+
+    ``ended`` is the reason why no further round is made, empty if there is none.
+    """
+
+    first: int
+    first_episode: int
+    rounds: tuple[RecordingRound, ...] = ()
+    ended: str = ""
+
+    @property
+    def steps(self) -> int:
+        """All recorded steps."""
+        return self.first + sum(int(one.steps.sum()) for one in self.rounds)

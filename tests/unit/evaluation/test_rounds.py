@@ -1,0 +1,151 @@
+"""Rounds of recording: plan, claims against recorded episodes, the choice among all rounds, the report."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evaluation.cells.rounds import ChooseRound, Round, RoundData, RoundsSoFar, error_ahead
+from evaluation.experiment import IN_ROUNDS, Experiment
+from evaluation.planning import plan_comparison
+from evaluation.report.report import brief, to_html
+from evaluation.report.sections.rounds import rounds_sentence, rounds_table
+from evaluation.rounds import RecordingRound, RoundsSummary
+from sysid_evo.data import Dataset
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.registry import make_robot, robot_spec
+from tests.fixtures.known_models import Known, fitted, recording
+from tests.fixtures.reports import matrix, printed, report
+
+ROBOT = 'gymnasium(id="CartPole-v1")'
+
+
+def made(number, claimed, achieved, steps=None):
+    """Return a round with the fitness of its trials."""
+    steps = np.full(len(achieved), 100) if steps is None else np.array(steps)
+    return RecordingRound(number, np.full(5, float(number)), np.array(claimed), np.array(achieved), steps, {"a": 0.3})
+
+
+def test_each_round_needs_the_one_before_and_the_models_need_the_last():
+    planned = plan_comparison(Experiment(robot=ROBOT, rounds=3))
+    rounds = [cell for cell in planned.plan if cell.kind == "round"]
+    assert [cell.settings.number for cell in rounds] == [1, 2, 3]
+    assert [needed.kind for cell in rounds for needed in cell.needs] == ["data", "round", "round"]
+    assert isinstance(planned.data.settings, RoundData)
+    assert all(fit.needs == (planned.data,) for fit in planned.fits.values())
+    assert tuple(planned.fits) == IN_ROUNDS["models"]
+    assert [cell.name for cell in planned.matrix.controllers] == ["rounds", "rest", "random"]
+    assert planned.experiment.data_digest == rounds[0].needs[0].digest  # with it a run folder is planned again
+    again = plan_comparison(planned.experiment, held=(rounds[0].needs[0], system()))
+    assert [cell.digest for cell in again.plan] == [cell.digest for cell in planned.plan]
+
+
+def system():
+    return make_robot(robot_spec(ROBOT)).system
+
+
+def test_one_round_is_the_usual_comparison():
+    one, usual = (
+        plan_comparison(Experiment(models=("linear",), reference=False, rounds=rounds)) for rounds in (1, None)
+    )
+    assert [cell.digest for cell in one.plan] == [cell.digest for cell in usual.plan]
+    assert not usual.plan.of_kind("round")
+
+
+def test_given_settings_replace_those_of_rounds():
+    asked = Experiment(robot=ROBOT, rounds=2, models=("linear",), controller="feed_forward", minutes=2.0, max_steps=500)
+    round_, *_ = plan_comparison(asked).plan.of_kind("round")
+    settings = round_.settings
+    assert (str(settings.evolution.controller), settings.max_steps) == ("feed_forward", 500)
+    assert (settings.evolution.generations, [spec.label for spec in settings.specs]) == (80, ["linear"])
+    assert settings.data.settings.minutes == 2.0
+
+
+def test_rounds_need_a_robot_that_is_a_program():
+    with pytest.raises(InvalidArgument, match="rounds: expected a robot that is a program"):
+        plan_comparison(Experiment(rounds=2, models=("linear",)), dataset=recording(3, steps=400))
+    with pytest.raises(InvalidArgument, match="nothing is recorded in rounds"):
+        plan_comparison(Experiment(models=("linear",), max_steps=100))
+
+
+def test_a_claim_holds_up_to_a_tenth_and_two_standard_errors():
+    claim = np.full(4, 10.0)
+    assert made(1, claim, [9.1] * 4).holds
+    assert not made(1, claim, [8.9] * 4).holds
+    assert made(1, claim, [6.0, 12.0, 6.0, 12.0]).holds  # its standard error is 1.7
+    assert not made(1, -claim, [-11.2] * 4).holds
+
+
+class Work:
+    """The context of a cell with fixed results of those that it needs."""
+
+    def __init__(self, *results):
+        self._results = list(results)
+        self.progress = None
+
+    def result(self, cell):
+        return self._results[cell]
+
+
+def test_after_the_end_a_round_changes_nothing_and_without_steps_left_there_is_none():
+    first = RoundsSoFar(recording(1, steps=80), RoundsSummary(first=900, first_episode=80))
+    planned, *_ = plan_comparison(Experiment(robot=ROBOT, rounds=2, max_steps=1000)).plan.of_kind("round")
+    over = replace(first, summary=replace(first.summary, ended="it ended"))
+    step = replace(planned.settings, previous=0)
+    assert step.compute(Work(over)) is over
+    spent = step.compute(Work(first)).summary
+    assert (spent.rounds, spent.ended) == ((), "1000 recorded steps are the most")
+
+
+def test_a_model_that_is_right_has_no_error_ahead():
+    data, model = recording(2, steps=80), fitted(Known())
+    assert error_ahead(model, data, data.episodes) < 1e-6
+    short = Dataset(
+        data.system,
+        (replace(data.episodes[0], states=data.episodes[0].states[:4], controls=data.episodes[0].controls[:3]),),
+    )
+    assert error_ahead(model, data, short.episodes) < 1e-6
+
+
+ROUNDS = (made(1, [30.0] * 3, [8.0, 9.0, 10.0]), made(2, [20.0] * 3, [20.0] * 3), made(3, [40.0] * 3, [12.0] * 3))
+
+
+def with_rounds(summary):
+    return replace(report(transfer=matrix({"rounds": {"a": 9.0, "b": 9.0, "car": 8.0}}, robot="car")), rounds=summary)
+
+
+def test_the_report_has_a_row_for_each_round_and_says_why_there_are_no_more():
+    shown = with_rounds(RoundsSummary(1600, 7, ROUNDS, "1900 recorded steps are the most"))
+    table = rounds_table(shown)
+    assert [row[0] for row in table.rows] == ["first", "1", "2", "3"]
+    assert [row[1] for row in table.rows] == ["1600", "1900", "2200", "2500"]
+    assert table.rows[2][3:] == ("20.0", "20.0", "a 0.300")
+    sentence = rounds_sentence(shown)
+    assert sentence.startswith("Half of the episodes of the first recording end within 7 steps")
+    assert sentence.endswith("the claim held in round 2; no further round: 1900 recorded steps are the most.")
+    assert "stabilise" not in rounds_sentence(with_rounds(RoundsSummary(1600, 200, ROUNDS)))
+    assert "Rounds of recording" in "\n".join(printed(brief(shown)))
+    assert "Rounds of recording" in to_html(shown)
+    assert rounds_table(report()) is None
+
+
+def test_the_controller_with_the_highest_recorded_fitness_is_chosen_among_all_rounds():
+    planned = plan_comparison(Experiment(robot=ROBOT, rounds=2, models=("linear",)))
+    cell = planned.matrix.controllers[0]
+    assert isinstance(cell.settings, ChooseRound)
+    assert isinstance(cell.settings.last.settings, Round)
+    found = RoundsSoFar(
+        Dataset.from_arrays(system(), [np.zeros((3, 4))], [np.zeros((2, 1))]), RoundsSummary(9, 9, ROUNDS)
+    )
+    chosen = replace(cell.settings, members=()).compute(Everything(found))
+    assert chosen.parameters[0] == 2.0
+    assert [(one.behaviour_class, one.fitness, one.forecast) for one in chosen.finalists] == [
+        ("round 1", 30.0, 9.0), ("round 2", 20.0, 20.0), ("round 3", 40.0, 12.0),
+    ]  # fmt: skip
+
+
+class Everything(Work):
+    """The same result for every cell."""
+
+    def result(self, cell):
+        return self._results[0]
