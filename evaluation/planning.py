@@ -486,7 +486,7 @@ def _matrix(
                 ),
             )
     if last is not None:
-        champions = (ChooseRound(last, models, ROUNDS).cell(), *champions)
+        champions = (ChooseRound(last, models, ROUNDS, learned).cell(), *champions)
     champions += baselines
     names = [champion.name for champion in champions]
     taken = [cell.name for cell in baselines if names.count(cell.name) > 1]

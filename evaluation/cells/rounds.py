@@ -11,6 +11,7 @@ import numpy as np
 
 from evaluation.cells.controllers import CONTROLLERS, ControllerSettings, identity_of
 from evaluation.cells.data import DATA, HoldOut, SplitDataset
+from evaluation.cells.learned_task import LearnTask, learned_task, needed
 from evaluation.cells.models import Fit
 from evaluation.cells.plants import ROLLOUT_STEPS_PER_SECOND, Plant, fitted, labels_of, runners
 from evaluation.rounds import ERROR_STEPS, RecordingRound, RoundsSummary
@@ -112,19 +113,19 @@ class Round(CellSettings):
         learned = {spec.label: self._fitted(spec, dataset, work) for spec in self.specs}
         known: Sequence[RecordingRound] = summary.rounds
         best = max(known, key=lambda one: float(one.achieved.mean()), default=None)
-        horizon = round(BEYOND * EPISODE_STEPS)
+        goal, horizon = recorded_task(self.evolution.task, dataset), round(BEYOND * EPISODE_STEPS)
         champion = evolve_controller(
             f"round {self.number}",
             learned,
             dataset.system,
-            replace(self.evolution, task=with_horizon(self.evolution.task, horizon)),
+            replace(self.evolution, task=with_horizon(goal, horizon)),
             seed=cell_seed(self.seed, f"round {self.number}"),
             initial=None if best is None else best.parameters,
             progress=work.progress,
         )
         seeds = trial_seeds(cell_seed(self.seed, "rounds"), episodes, generation=self.number)
         law = Exploring(make_controller(champion.controller), self.noise)
-        task = make_task(with_horizon(self.evolution.task, EPISODE_STEPS))
+        task = make_task(with_horizon(goal, EPISODE_STEPS))
         driven = self.robot.runner(work, delay=0.0).bind(law, task)(champion.parameters[None], seeds, record=True)
         new = [replace(run, name=f"round-{self.number}-{i + 1}") for i, run in enumerate(driven.trajectories)]
         if not new:
@@ -149,6 +150,12 @@ class Round(CellSettings):
 
     def _fitted(self, spec: Spec, dataset: Dataset, work: CellContext) -> DynamicsModel:
         return Fit(spec, self.data, self.seed, self.preset).learn(dataset)
+
+
+def recorded_task(task: Spec, dataset: Dataset) -> Spec:
+    """Return ``task`` with the reward that it learns from ``dataset``, unchanged if it needs no recording."""
+    made = make_task(task)
+    return Spec(task.name, {**task.parameters, **made.learn(dataset).parameters}) if made.needs_recording else task
 
 
 def _claimed(runs: Sequence[Rollouts], aggregate: str) -> Array:
@@ -208,6 +215,7 @@ class ChooseRound(ControllerSettings):
     last: Cell[Round]
     members: tuple[Plant, ...]
     label: str
+    learned: Cell[LearnTask] | None = None
 
     def cell(self) -> Cell[ChooseRound]:
         """Return the cell of the controller."""
@@ -216,7 +224,7 @@ class ChooseRound(ControllerSettings):
             name=self.label,
             title="choose among all rounds",
             settings=self,
-            needs=(self.last, *(cell for member in self.members for cell in member.needs)),
+            needs=(self.last, *needed(self.learned), *(cell for member in self.members for cell in member.needs)),
             labels={"name": self.label, "against": labels_of(self.members)},
         )
 
@@ -231,6 +239,7 @@ class ChooseRound(ControllerSettings):
         if not rounds:
             raise InvalidData("no round was recorded: allow more steps with --max-steps")
         evolution, members = settings.evolution, fitted(self.members, work)
+        task = learned_task(evolution.task, self.learned, work)
         system = found.dataset.system
         candidates = np.stack([one.parameters for one in rounds])
         count = min(len(one.achieved) for one in rounds)
@@ -239,10 +248,9 @@ class ChooseRound(ControllerSettings):
         seeds, judges = trial_seeds(cell_seed(settings.seed, "choose round"), count), runners(members, work)
 
         def margins(rows: IntArray) -> Array:
-            law, task = evolution.controller, evolution.task
-            return margins_of(lasting_fitness(candidates[rows], judges, law, task, system, seeds))
+            return margins_of(lasting_fitness(candidates[rows], judges, evolution.controller, task, system, seeds))
 
-        winner = best_candidate(scores, make_task(evolution.task).bind(system).worst, margins)
+        winner = best_candidate(scores, make_task(task).bind(system).worst, margins)
         finalists = tuple(
             Finalist(f"round {one.number}", 0, float(one.claimed.mean()), one.parameters, float(one.achieved.mean()))
             for one in rounds
@@ -255,7 +263,7 @@ class ChooseRound(ControllerSettings):
             seed=settings.seed,
             history=np.empty((0, 3)),
             controller=evolution.controller,
-            task=evolution.task,
+            task=task,
             system=system,
             finalists=finalists,
         )

@@ -73,8 +73,8 @@ def lasting_fitness(
     """Return the fitness of each candidate under noise, and its share of time outside the data, (P, 2).
 
     Both are means over the trials ``seeds`` in those of ``runners`` that are models. A step is outside as for
-    `UncertaintyPenalty`. The horizon is `HORIZON_MULTIPLE` times that of the task, if the task has such a parameter. Zeros
-    without a model.
+    `UncertaintyPenalty`. The horizon is `HORIZON_MULTIPLE` times that of the task, if the task has such a parameter.
+    Zeros without a model.
     """
     horizon = make_task(task).bind(system).horizon
     goal, law = make_task(with_horizon(task, HORIZON_MULTIPLE * horizon)), make_controller(controller)
