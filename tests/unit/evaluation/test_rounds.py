@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evaluation.cells.rounds import ChooseRound, Round, RoundData, RoundsSoFar, error_ahead
-from evaluation.experiment import IN_ROUNDS, Experiment
+from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
 from evaluation.report.report import brief, to_html
 from evaluation.report.sections.rounds import rounds_sentence, rounds_table
@@ -33,7 +33,8 @@ def test_each_round_needs_the_one_before_and_the_models_need_the_last():
     assert [needed.kind for cell in rounds for needed in cell.needs] == ["data", "round", "round"]
     assert isinstance(planned.data.settings, RoundData)
     assert all(fit.needs == (planned.data,) for fit in planned.fits.values())
-    assert tuple(planned.fits) == IN_ROUNDS["models"]
+    assert tuple(planned.fits) == ("gaussian_process", "mlp_ensemble")
+    assert not any(fit.settings.spec.parameters["control_lags"] for fit in planned.fits.values())  # short episodes
     assert [cell.name for cell in planned.matrix.controllers] == ["rounds", "rest", "random"]
     assert planned.experiment.data_digest == rounds[0].needs[0].digest  # with it a run folder is planned again
     again = plan_comparison(planned.experiment, held=(rounds[0].needs[0], system()))
