@@ -24,7 +24,7 @@ from evaluation.cells.data import GivenData, HoldOut, RecordedData
 from evaluation.cells.learned_task import LearnTask, learning_cell, needed
 from evaluation.cells.models import Fit, LeaveConditionsOut, Predict, ScoreFit
 from evaluation.cells.plants import Plant, runner_of
-from evaluation.cells.rounds import ChooseRound, Round, RoundData
+from evaluation.cells.rounds import ChooseRound, Round, RoundData, last_round
 from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, FILE, Experiment, check_settings, with_rounds, with_task
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
 from evaluation.prediction.scores import PERSISTENCE
@@ -122,7 +122,7 @@ def plan_comparison(
     first = data = held[0] if held is not None else _data(experiment, robot, dataset, whole=in_rounds)
     specs = models_of(experiment, system, remarks)
     ensembles = ensembles_of(experiment, tuple(spec.label for spec in specs))
-    last = _last_round(experiment, robot, system, first, specs) if in_rounds else None
+    last = last_round(experiment, _robot_column(experiment, robot, system, []), first, specs) if in_rounds else None
     if last is not None:
         data = RoundData(last, HoldOut(experiment.test, experiment.held_out)).cell()
     fits = {spec.label: Fit(spec, data, experiment.seed, experiment.preset).cell() for spec in specs}
@@ -347,28 +347,6 @@ def _robot_column(experiment: Experiment, robot: Spec | None, system: System, re
         runner_of(robot)
     remarks.append(f"{robot.label} is a physical robot: its column is filled by sysid-evo drive --controller")
     return None
-
-
-def _last_round(
-    experiment: Experiment, robot: Spec | None, system: System, first: Cell, specs: tuple[Spec, ...]
-) -> Cell[Round]:
-    """Return the cell of the last round, which needs all others; ``first`` is the recording before them.
-
-    Raises `InvalidArgument` without a robot that is a program.
-    """
-    column = _robot_column(experiment, robot, system, [])
-    if column is None:
-        raise InvalidArgument(
-            "rounds: expected a robot that is a program, such as an environment; name it with --robot"
-        )
-    found: Cell[Round] | None = None
-    for number in range(1, (experiment.rounds or 1) + 1):
-        found = Round(
-            number, first, found, column, specs, evolution_settings(experiment), experiment.command_noise,
-            experiment.max_steps, experiment.seed, experiment.preset,
-        ).cell()  # fmt: skip
-    assert found is not None
-    return found
 
 
 def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None, *, whole: bool = False) -> Cell:

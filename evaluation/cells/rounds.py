@@ -9,18 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.cells.controllers import CONTROLLERS, ControllerSettings, identity_of
+from evaluation.cells.controllers import CONTROLLERS, ControllerSettings, evolution_settings, identity_of
 from evaluation.cells.data import DATA, HoldOut, SplitDataset
 from evaluation.cells.learned_task import LearnTask, learned_task, needed
 from evaluation.cells.models import Fit
 from evaluation.cells.plants import ROLLOUT_STEPS_PER_SECOND, Plant, fitted, labels_of, runners
+from evaluation.experiment import Experiment
 from evaluation.rounds import ERROR_STEPS, RecordingRound, RoundsSummary
 from evaluation.storage import load_result, save_result
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.controllers.exploration import Exploring
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.engine import DynamicsRunner, Rollouts
-from sysid_evo.errors import Blocked, InvalidData
+from sysid_evo.errors import Blocked, InvalidArgument, InvalidData
 from sysid_evo.evolution import Champion, ControllerEvolution, Finalist, Scores, evolve_controller
 from sysid_evo.evolution.aggregates import make_aggregate
 from sysid_evo.evolution.margins import best_candidate, lasting_fitness, margins_of, with_horizon
@@ -150,6 +151,31 @@ class Round(CellSettings):
 
     def _fitted(self, spec: Spec, dataset: Dataset, work: CellContext) -> DynamicsModel:
         return Fit(spec, self.data, self.seed, self.preset).learn(dataset)
+
+
+def last_round(experiment: Experiment, robot: Plant | None, first: Cell, specs: tuple[Spec, ...]) -> Cell[Round]:
+    """Return the cell of the last round, which needs all others; ``first`` is the recording before them.
+
+    Raises `InvalidArgument` without a robot that is a program.
+    """
+    if robot is None:
+        raise InvalidArgument("rounds: expected a robot that is a program, such as an environment; give --robot")
+    found: Cell[Round] | None = None
+    for number in range(1, (experiment.rounds or 1) + 1):
+        found = Round(
+            number,
+            first,
+            found,
+            robot,
+            specs,
+            evolution_settings(experiment),
+            experiment.command_noise,
+            experiment.max_steps,
+            experiment.seed,
+            experiment.preset,
+        ).cell()
+    assert found is not None
+    return found
 
 
 def recorded_task(task: Spec, dataset: Dataset) -> Spec:
