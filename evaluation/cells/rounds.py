@@ -111,7 +111,7 @@ class Round(CellSettings):
             return before
         if episodes < FEWEST_EPISODES:
             return replace(before, summary=replace(summary, ended=f"{self.max_steps} recorded steps are the most"))
-        learned = {spec.label: self._fitted(spec, dataset, work) for spec in self.specs}
+        learned = {spec.label: Fit(spec, self.data, self.seed, self.preset).learn(dataset) for spec in self.specs}
         known: Sequence[RecordingRound] = summary.rounds
         best = max(known, key=lambda one: float(one.achieved.mean()), default=None)
         goal, horizon = recorded_task(self.evolution.task, dataset), round(BEYOND * EPISODE_STEPS)
@@ -149,9 +149,6 @@ class Round(CellSettings):
         )
         return RoundsSoFar(dataset.with_episodes([*dataset.episodes, *new]), summary)
 
-    def _fitted(self, spec: Spec, dataset: Dataset, work: CellContext) -> DynamicsModel:
-        return Fit(spec, self.data, self.seed, self.preset).learn(dataset)
-
 
 def last_round(experiment: Experiment, robot: Plant | None, first: Cell, specs: tuple[Spec, ...]) -> Cell[Round]:
     """Return the cell of the last round, which needs all others; ``first`` is the recording before them.
@@ -163,17 +160,9 @@ def last_round(experiment: Experiment, robot: Plant | None, first: Cell, specs: 
     found: Cell[Round] | None = None
     for number in range(1, (experiment.rounds or 1) + 1):
         found = Round(
-            number,
-            first,
-            found,
-            robot,
-            specs,
-            evolution_settings(experiment),
-            experiment.command_noise,
-            experiment.max_steps,
-            experiment.seed,
-            experiment.preset,
-        ).cell()
+            number, first, found, robot, specs, evolution_settings(experiment), experiment.command_noise,
+            experiment.max_steps, experiment.seed, experiment.preset,
+        ).cell()  # fmt: skip
     assert found is not None
     return found
 
