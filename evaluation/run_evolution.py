@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from evaluation.advice.evidence import Remark
 from evaluation.advice.regions import driven_outside
 from evaluation.cells.assessment import Run, SearchExploit
 from evaluation.cells.controllers import Choose, ControllerCell, Polish, controller_cell, evolution_settings
-from evaluation.cells.data import DATA
 from evaluation.cells.learned_task import LearnTask, learning_cell
 from evaluation.cells.plants import Plant
 from evaluation.experiment import Experiment, with_task
@@ -26,7 +26,7 @@ from evaluation.members import (
     other_models,
 )
 from evaluation.prediction.scores import error_of
-from evaluation.run_folder import run_of_controller
+from evaluation.run_folder import is_run, run_of_controller
 from evaluation.steps import Steps
 from evaluation.transfer.forecast import Forecast, forecasts
 from evaluation.transfer.matrix import TransferMatrix, TransferResult, transfer, transfer_seeds
@@ -38,7 +38,7 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import Champion, delayed_runner
 from sysid_evo.evolution.champion import load_champion
 from sysid_evo.models import Dynamics, DynamicsModel
-from sysid_evo.plan import Cell, Plan, Store
+from sysid_evo.plan import Cell, Plan, Store, stored
 from sysid_evo.registry import Spec
 from sysid_evo.system import System
 from sysid_evo.tasks.task import make_task
@@ -96,10 +96,12 @@ def plan_evolution(experiment: Experiment, store: Store, members: Sequence[str])
     `find_column` and `check_evolution`.
     """
     columns = tuple(find_column(store, member) for member in members)
-    experiment = with_task(experiment, [column.robot for column in columns])
+    robots = [column.robot for column in columns]
+    task = experiment.task or _settings(store).get("task")
+    experiment = with_task(experiment.model_copy(update={"task": task}), robots)
     remarks = check_evolution(store, columns, evolution_settings(experiment))
     others = other_models(store, columns)
-    learned = _learned(evolution_settings(experiment).task, (*columns, *others))
+    learned = _learned(evolution_settings(experiment).task, store)
     champion = controller_cell(experiment, columns, scoring_models=columns + others, learned=learned)
 
     def on(column: Plant) -> Cell[Run]:
@@ -116,10 +118,16 @@ def plan_evolution(experiment: Experiment, store: Store, members: Sequence[str])
     return EvolutionPlan(columns, champion, claims, elsewhere, plan, remarks)
 
 
-def _learned(task: Spec, columns: Sequence[Plant]) -> Cell[LearnTask] | None:
-    """Return the cell in which ``task`` learns its reward from the data of the first model that was fitted to some."""
-    data = [need for column in columns for cell in column.needs for need in cell.needs if need.kind == DATA]
-    return learning_cell(task, data[0]) if data else None
+def _settings(store: Store) -> Mapping[str, Any]:
+    """Return the settings of the run in ``store``; none if it is no run."""
+    return Experiment.read(store.path) if is_run(store.path) else {}
+
+
+def _learned(task: Spec, store: Store) -> Cell[LearnTask] | None:
+    """Return the cell in which ``task`` learns its reward from the data of the run in ``store``."""
+    record = store.find(_settings(store).get("data_digest", ""))
+    data = None if record is None else stored(record)
+    return None if data is None else learning_cell(task, data)
 
 
 def evolution_result(planned: EvolutionPlan, store: Store) -> EvolutionResult:

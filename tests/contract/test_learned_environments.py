@@ -3,13 +3,18 @@
 import numpy as np
 import pytest
 
+from evaluation.experiment import Experiment
+from evaluation.run_evolution import plan_evolution
+from evaluation.running import compare
 from hardware.simulators.gymnasium_robot import GymnasiumRobot
 from hardware.simulators.gymnasium_state import AttributeState, MethodState, MujocoState
 from hardware.simulators.gymnasium_task import EnvironmentTask
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.errors import IncompatibleTask
+from sysid_evo.evolution import load_champion
 from sysid_evo.models.base import make_model
+from sysid_evo.plan import Store
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.tasks.reward_fit import fit_reward
 from sysid_evo.tasks.task import learn_task, make_task
@@ -160,3 +165,21 @@ def test_an_environment_of_box2d_is_learned_too():
     spec, _ = learned(robot, 1600)
     assert make_task(spec).learned is not None
     assert robot.system.nu == 2
+
+
+def test_a_comparison_learns_the_reward_and_its_run_evolves_further_with_it(tmp_path):
+    robot = f'gymnasium(id="{ROTOR}", angle="1,2")'
+    quick = {"generations": 2, "trials": 2, "selection_trials": 5, "transfer_trials": 3, "procedure": "plain"}
+    report = compare(robot=robot, models=("linear",), minutes=5.0, out=tmp_path / "run", jobs=1, **quick)
+    assert any(note.startswith("Learned reward: polynomial of degree 2") for note in report.task_notes)
+    store = Store(tmp_path / "run")
+    (path,) = (tmp_path / "run" / "controllers").glob("linear-*.json")
+    champion = load_champion(path)
+    assert make_task(champion.task).learned is not None
+    planned = plan_evolution(Experiment.of({**quick, "generations": 3}), store, ["linear"])
+    (learning,) = (cell for cell in planned.plan if cell.kind == "learn")
+    assert store.done(learning)
+    paid = report.matrix.cell("linear", "gymnasium")
+    assert paid.traces
+    for trace in paid.traces:
+        assert trace.fitness == pytest.approx(trace.trajectory.total_reward, abs=1e-6)
