@@ -102,11 +102,11 @@ def stored_controllers(
         found = [replace(one, champion=replace(one.champion, task=Spec.parse(task))) for one in found]
     goal = found[0].champion.task if found else Spec.parse(task or default_task(robots))
     found += [StoredController(Champion.baseline(name, goal, system)) for name in written]
-    others = [one.champion for one in found if one.champion.task != goal]
+    others = [one.champion for one in found if one.champion.task.shown != goal.shown]  # each has learned its own reward
     if others:
         raise InvalidArgument(
-            f"{found[0].champion.name} does {goal}, {others[0].name} does {others[0].task}: their scores cannot be "
-            "compared. Name one task for all with --task"
+            f"{found[0].champion.name} does {goal.shown}, {others[0].name} does {others[0].task.shown}: their scores "
+            "cannot be compared. Name one task for all with --task"
         )
     labels = _unique_names([(one.champion.name, one.run.name if one.run else "") for one in found])
     return tuple(
@@ -128,8 +128,8 @@ def check_fit(controllers: Sequence[StoredController], systems: Sequence[Transfe
             law = make_controller(champion.controller).bind_to(make_task(champion.task).bind(system))
             if law.n_parameters != len(champion.parameters):
                 raise InvalidArgument(
-                    f"{champion.name} cannot do {champion.task}: it needs {law.n_parameters} parameters there and has "
-                    f"{len(champion.parameters)}, because it was evolved with other observations"
+                    f"{champion.name} cannot do {champion.task.shown}: it needs {law.n_parameters} parameters there and "
+                    f"has {len(champion.parameters)}, because it was evolved with other observations"
                 )
 
 

@@ -84,7 +84,7 @@ class Champion(Displayed):
             "name": self.name,
             "controller": self.controller.text,
             "parameters": str(len(self.parameters)),
-            "task": self.task.text,
+            "task": self.task.shown,
             **({"evolved against": f"{listed(self.against)} ({self.aggregate})"} if self.against else {}),
             **({"chosen by": listed(self.scoring_models)} if self.scoring_models else {}),
             **({"best fitness in evolution": reached} if reached else {}),

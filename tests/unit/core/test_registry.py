@@ -15,7 +15,7 @@ from sysid_evo.errors import InvalidArgument, MissingExtra, PluginError, PluginW
 from sysid_evo.models import DynamicsModel
 from sysid_evo.models.dynamics import Dynamics
 from sysid_evo.motion import Motion
-from sysid_evo.registry import KINDS, Registry, load_plugin, make_robot, models, robots, source_digest
+from sysid_evo.registry import KINDS, Registry, Spec, load_plugin, make_robot, models, robots, source_digest
 from sysid_evo.registry import registry as registry_module
 from sysid_evo.registry.renamed import RENAMED_ATTRIBUTES, RENAMED_GROUPS
 from sysid_evo.tasks.task import Task
@@ -385,3 +385,9 @@ def test_every_registry_is_among_the_kinds():
     defined = {id(value) for value in vars(registry_module).values() if isinstance(value, Registry)}
     assert defined == {id(registry) for registry in KINDS.values()}
     assert {"noise", "penalty"} <= {kind for kind, registry in KINDS.items() if entry_points(group=registry.group)}
+
+
+def test_a_long_text_among_the_parameters_is_left_out_for_readers_only():
+    spec = Spec.parse(f'environment(id="Some-v0", learned="{"x" * 300}")')
+    assert spec.shown == "environment(id='Some-v0', learned='...')"
+    assert "x" * 300 in spec.text
