@@ -128,8 +128,8 @@ def check_fit(controllers: Sequence[StoredController], systems: Sequence[Transfe
             law = make_controller(champion.controller).bind_to(make_task(champion.task).bind(system))
             if law.n_parameters != len(champion.parameters):
                 raise InvalidArgument(
-                    f"{champion.name} cannot do {champion.task.shown}: it needs {law.n_parameters} parameters there and "
-                    f"has {len(champion.parameters)}, because it was evolved with other observations"
+                    f"{champion.name} cannot do {champion.task.shown}: it needs {law.n_parameters} parameters there, "
+                    f"and has {len(champion.parameters)}, because it was evolved with other observations"
                 )
 
 
