@@ -67,6 +67,7 @@ class DriftCarSimulator(ExternalSimulator):
     system: System
     model: str
     parameters: Any
+    rewarded: ClassVar[bool] = False
     settable: bool = True
 
     @classmethod

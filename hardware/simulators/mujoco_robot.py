@@ -73,6 +73,7 @@ class MujocoSimulator(ExternalSimulator):
     start: Array
     free: Joint | None
     joints: tuple[Joint, ...]
+    rewarded: ClassVar[bool] = False
     settable: bool = True
 
     @classmethod

@@ -69,6 +69,7 @@ class QuadrotorSimulator(ExternalSimulator):
     system: System
     command: str
     parameters: Mapping[str, Any]
+    rewarded: ClassVar[bool] = False
     settable: bool = True
 
     @classmethod

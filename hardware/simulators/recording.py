@@ -55,7 +55,7 @@ def record_simulator(simulator: ExternalSimulator, duration: float, job: Recordi
                             np.array(controls),
                             system.dt,
                             name=f"{name}-{count}",
-                            rewards=np.array(rewards),
+                            rewards=np.array(rewards) if simulator.rewarded else None,
                             ending=ending,
                         )
                         episodes.append(episode)

@@ -10,6 +10,7 @@ from abc import ABC, abstractmethod
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 
@@ -33,12 +34,14 @@ LONGEST_SEED = 2**31
 class ExternalSimulator(ABC):
     """A simulator that advances only when it is stepped; ``name`` is shown in reports.
 
-    A ``settable`` one can be put into any state of its ``system``.
+    A ``settable`` one can be put into any state of its ``system``. The steps of a ``rewarded`` one have rewards, which
+    are recorded.
     """
 
     name: str
     system: System
     settable: bool
+    rewarded: ClassVar[bool] = True
 
     @abstractmethod
     def open(self) -> SimulatorSession:

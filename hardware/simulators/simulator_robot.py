@@ -117,9 +117,10 @@ def simulator_findings(
     over = lengths[:-1]
     episodes = f"{len(over)} episodes ended, after {min(over)} to {max(over)} steps" if over else "No episode ended"
     reward_range = f"rewards from {min(rewards):.3g} to {max(rewards):.3g} a step" if rewards else "no step was taken"
+    counted = f"{episodes}, in {len(rewards)} steps"
     return (
         SelfTestFinding("system", True, sentence, {"dt": system.dt}),
         SelfTestFinding("states", bool(np.isfinite(seen).all()), f"Under random controls: {', '.join(ranges)}."),
-        SelfTestFinding("episodes", True, f"{episodes}, in {len(rewards)} steps; {reward_range}."),
+        SelfTestFinding("episodes", True, f"{counted}; {reward_range}." if simulator.rewarded else f"{counted}."),
         SelfTestFinding("speed", True, f"{len(rewards) / took:.0f} steps a second.", {"seconds": took}),
     )

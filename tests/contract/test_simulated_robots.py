@@ -252,3 +252,10 @@ def test_results_are_found_by_the_content_of_the_model_file(tmp_path):
     assert robots.identity(spec) == before
     (tmp_path / "arm.xml").write_text(ARM.replace('mass="1"', 'mass="2"'))
     assert robots.identity(spec) != before
+
+
+def test_a_recording_of_a_robot_without_a_reward_has_none(folder):
+    robot = made("mujoco", folder / "arm.xml")
+    recorded = robot.record(seed=1, duration=16.0).dataset
+    assert {episode.rewards is None for episode in recorded.episodes} == {True}
+    assert sum(len(episode.controls) for episode in recorded.episodes) == 800

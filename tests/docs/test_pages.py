@@ -12,6 +12,7 @@ import threading
 import time
 import tomllib
 from functools import cache
+from importlib.util import find_spec
 
 import numpy as np
 import pandas as pd
@@ -152,7 +153,8 @@ def of_robots(folder):
     """Write the files of the page, and run its commands on the boat."""
     boat, *_ = PAGES["robots.md"].blocks("python")
     (folder / "boat.py").write_text(boat.text)
-    said = [done(line, folder) for line in PAGES["robots.md"].commands]
+    installed = find_spec("rotorpy") is not None
+    said = [done(line, folder) for line in PAGES["robots.md"].commands if installed or "quadrotor" not in line]
     assert "A model boat" in said[1]
     assert not [line for text in said for line in text.splitlines() if line.startswith(("wrong", "FAILED"))]
     dataset = Dataset.read(folder / "data" / "boat")
