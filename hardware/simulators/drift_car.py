@@ -30,6 +30,8 @@ ROLLING = 5.0
 """Forward speed (m/s) at the start of a trial; recorded episodes begin with half to three times of it."""
 STRONGEST = 6.0
 """Largest request of acceleration (m/s^2); more only spins or locks the wheels."""
+SERVO = 0.1
+"""Time constant (s) of the steering, which turns at 0.4 rad/s at most."""
 STEP = 1e-3
 """Longest step (s) of the integration: locked wheels make a variable one fail."""
 
@@ -40,16 +42,16 @@ class DriftCar(SimulatorRobot):
 
     ``model`` is "drift" (single-track with combined slip and wheel speeds) or "multi_body" (29 states, of which roll,
     pitch and suspension are not measured). ``vehicle`` is 1 (Ford Escort), 2 (BMW 320i) or 3 (VW Vanagon). The controls
-    are the acceleration (m/s^2) that engine and brakes request and the rate of the steering angle (rad/s). States
-    besides those of `PlanarBody` are the steering angle and the speeds of the wheels at their rims. A trial begins
-    rolling at 5 m/s; the brakes act above 2 m/s. An episode ends beyond 30 m/s, below 1 m/s, and when it slides
+    are the acceleration (m/s^2) that engine and brakes request and the steering angle (rad) that a servo approaches.
+    States besides those of `PlanarBody` are the steering angle and the speeds of the wheels at their rims. A trial
+    begins rolling at 5 m/s; the brakes act above 2 m/s. An episode ends beyond 30 m/s, below 1 m/s, and when it slides
     backwards. Raises `InvalidArgument`, `MissingExtra`.
 
     Source: Althoff, Würsching, CommonRoad: vehicle models, version 2020a.
     """
 
     requires: ClassVar[tuple[str, ...]] = ("vehiclemodels",)
-    default_task = "point_to_point(arena_radius=40, waypoint_radius=4, horizon=600)"
+    default_task = "point_to_point(arena_radius=40, waypoint_radius=8, horizon=600)"
 
     def __init__(self, *, model: str = "drift", vehicle: int = 2, dt: float = 0.05) -> None:
         check_choice("robot drift_car: model", model, MODELS)
@@ -86,7 +88,7 @@ class DriftCarSimulator(ExternalSimulator):
         )
         controls = (
             Channel("acceleration", "m/s^2", -most, most),
-            Channel("steering_rate", "rad/s", float(steering.v_min), float(steering.v_max)),
+            Channel("steering", "rad", float(steering.min), float(steering.max), description="commanded angle"),
         )
         name = f"{model} car {vehicle}"
         return cls(name, System(states, controls, dt, PlanarBody(), name), model, parameters)
@@ -119,10 +121,11 @@ class DriftCarSession(SimulatorSession):
         return self._measured()
 
     def step(self, control: Array) -> tuple[Array, float, bool, bool]:
-        acceleration, steering_rate = map(float, control)
+        acceleration, steering = map(float, control)
 
         def rate(state: Array) -> Array:
-            inputs = [steering_rate, 0.0 if acceleration < 0.0 and state[3] < BRAKES else acceleration]
+            turning = (steering - state[2]) / SERVO  # the model limits it
+            inputs = [turning, 0.0 if acceleration < 0.0 and state[3] < BRAKES else acceleration]
             return np.array(self._rate(state.tolist(), inputs, self._parameters))
 
         before, state, steps = self._measured(), self._state, math.ceil(self._dt / STEP)
