@@ -28,7 +28,9 @@ VALUES = {"stop-after": "prediction", "procedure": "plain", "to": "python", "sec
 OF_CONTROLLERS = ("aggregate", "baselines", "penalty", "controller", "ensembles", "estimator-delay", "generations",
                   "noise", "procedure", "repeats", "schedule", "strategy", "task", "trials", "reference")  # fmt: skip
 TOGETHER = {
-    "compare": {("stop-after", name) for name in OF_CONTROLLERS} | {("data", "minutes"), ("scheduler", "jobs")},
+    "compare": {("stop-after", name) for name in OF_CONTROLLERS} | {
+        ("data", "minutes"), ("scheduler", "jobs"), ("starts", "controller"), ("starts", "strategy"),
+    },
     "fit": {("scheduler", "jobs")},
     "evolve": {("scheduler", "jobs")},
     "study": {("scheduler", "jobs"), ("render", "jobs"), ("render", "scheduler"), ("render", "dry-run")},
