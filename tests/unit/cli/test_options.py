@@ -26,7 +26,8 @@ NEEDED = {"tune": ["--data", "car"], "import": ["--out", "new"], "adapt": ["--da
 VALUES = {"stop-after": "prediction", "procedure": "plain", "to": "python", "seconds": "5"}
 
 OF_CONTROLLERS = ("aggregate", "baselines", "penalty", "controller", "ensembles", "estimator-delay", "generations",
-                  "noise", "procedure", "repeats", "schedule", "strategy", "task", "trials", "reference")  # fmt: skip
+                  "noise", "procedure", "repeats", "schedule", "strategy", "task", "trials", "reference", "starts",
+                  "rounds")  # fmt: skip
 TOGETHER = {
     "compare": {("stop-after", name) for name in OF_CONTROLLERS} | {
         ("data", "minutes"), ("scheduler", "jobs"), ("starts", "controller"), ("starts", "strategy"),
@@ -41,7 +42,10 @@ TOGETHER = {
               ("controller", "port")},
 }  # fmt: skip
 """The pairs of options that are refused: each option, and one that has no effect beside it. All others are taken."""
-ALONE = {"compare": {"columns": "data"}, "drive": {"watch": "controller"}}
+ALONE = {
+    "compare": {"columns": "data", "command-noise": "rounds", "max-steps": "rounds"},
+    "drive": {"watch": "controller"},
+}
 """Options that have no effect without another one."""
 
 COMMANDS_WITH_OPTIONS = [name for name in COMMANDS if isinstance(load(name), CheckedCommand)]
