@@ -453,7 +453,7 @@ class CoveragePart(Part):
 
 
 class ModelPredictionPart(Part):
-    """Prediction errors of one model; the ``reason`` says why there are none. ``curve`` is N after every step."""
+    """Prediction errors of one model; ``reason`` is why there are none. ``curve`` is N after every step."""
 
     name: str
     family: str

@@ -171,7 +171,7 @@ def paper_sheet(matrix: TransferMatrix) -> TableElement | None:
 
 
 class CellPart(Part):
-    """One controller on one system, over fresh trials; the ``reason`` says why there are none."""
+    """One controller on one system, over fresh trials; ``reason`` is why there are none."""
 
     controller: str
     column: str
