@@ -29,6 +29,8 @@ MARGIN = 1.0
 SIMPLER = 1.02
 """A simpler form is used if its held-out error is at most this multiple of the lowest."""
 FEWEST_ENDS = 3
+LARGE = 0.2
+"""Held-out error from which the sentences warn."""
 HORIZON = 20.0
 """Steps over which wrong ends are counted when forms of the end are compared."""
 
@@ -59,6 +61,11 @@ class RewardQuality:
             f"Learned reward: {step} of state, control and next state; held-out error {100.0 * self.error:.2g} % of "
             f"its standard deviation ({self.steps:,} steps of {self.episodes:,} episodes)."
         ]
+        if self.error > LARGE:
+            said.append(
+                "This error is large: claims in models are unreliable. Record longer, or use exact=true in the task if "
+                "the environment can be put into a state."
+            )
         if not self.ends:
             return (*said, "Learned end: none; no recorded episode was terminated.")
         said.append(

@@ -54,6 +54,7 @@ def test_a_reward_of_degree_two_in_state_control_and_next_state_is_recovered():
         assert reward == pytest.approx(quadratic(x, u, after), abs=5e-3)
         assert not over
     assert quality.error < 2e-3
+    assert not any("large" in sentence for sentence in quality.sentences)
     assert quality.sentences[-1] == "Learned end: none; no recorded episode was terminated."
 
 
@@ -61,6 +62,7 @@ def test_a_reward_that_is_noise_has_a_held_out_error_of_one():
     rng = np.random.default_rng(1)
     _, quality = fit_reward(made(lambda *_: rng.standard_normal()))
     assert quality.error == pytest.approx(1.0, abs=0.03)
+    assert quality.sentences[1].startswith("This error is large: claims in models are unreliable. Record longer")
 
 
 def test_episodes_end_where_recorded_ones_were_terminated_and_pay_what_the_last_step_paid():
