@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,11 +37,6 @@ class RecordingRound:
     errors: Mapping[str, float]
 
     @property
-    def is_predicted(self) -> bool:
-        """Whether one of the models predicts the new episodes well enough."""
-        return min(self.errors.values(), default=np.inf) <= PREDICTS
-
-    @property
     def holds(self) -> bool:
         """Whether the episodes achieve what the models claimed, up to a tenth of it and two standard errors."""
         claimed, achieved = float(self.claimed.mean()), float(self.achieved.mean())
@@ -70,3 +65,17 @@ class RoundsSummary:
     def steps(self) -> int:
         """All recorded steps."""
         return self.first + sum(int(one.steps.sum()) for one in self.rounds)
+
+
+def reason_to_end(known: Sequence[RecordingRound], last: RecordingRound, steps: int) -> str:
+    """Return why no round follows ``last``, empty if one does; ``known`` are those before it.
+
+    Rounds end if the last two claims held and the last one gained nothing over the best before it. Its episodes must
+    have lasted all ``steps``, or a model must predict them: a claim of next to nothing holds easily.
+    """
+    settled = bool((last.steps >= steps).all()) or min(last.errors.values(), default=np.inf) <= PREDICTS
+    if not known or not known[-1].holds or not last.holds or not settled:
+        return ""
+    best = max(known, key=lambda one: float(one.achieved.mean()))
+    gains = float(last.achieved.mean()) > best.no_gain_over
+    return "" if gains else "the claims of two rounds held, and the last one gained nothing"

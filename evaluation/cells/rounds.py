@@ -15,7 +15,7 @@ from evaluation.cells.learned_task import LearnTask, learned_task, needed
 from evaluation.cells.models import Fit
 from evaluation.cells.plants import ROLLOUT_STEPS_PER_SECOND, Plant, fitted, labels_of, runners
 from evaluation.experiment import Experiment
-from evaluation.rounds import ERROR_STEPS, RecordingRound, RoundsSummary
+from evaluation.rounds import ERROR_STEPS, RecordingRound, RoundsSummary, reason_to_end
 from evaluation.storage import load_result, save_result
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.controllers.exploration import Exploring
@@ -59,8 +59,8 @@ class Round(CellSettings):
     """Round ``number``: fit ``specs`` to all data so far, evolve a controller in them, record ``robot`` under it.
 
     The evolution starts from the best controller so far, a second run from the beginning. ``noise`` is that of
-    `Exploring`. No round is made after the claims of two rounds held without a gain in episodes that a model
-    predicts, or if fewer than `FEWEST_EPISODES` episodes are left of ``max_steps`` recorded steps in all.
+    `Exploring`. No round follows one that gives a `reason_to_end`, or if fewer than `FEWEST_EPISODES` episodes are left
+    of ``max_steps`` recorded steps in all.
     """
 
     number: int
@@ -140,13 +140,7 @@ class Round(CellSettings):
             steps=driven.survived[0],
             errors={label: error_ahead(model, dataset, new) for label, model in learned.items()},
         )
-        held = bool(known) and known[-1].holds and made.holds and made.is_predicted
-        gains = best is None or float(made.achieved.mean()) > best.no_gain_over
-        summary = replace(
-            summary,
-            rounds=(*known, made),
-            ended="the claims of two rounds held, and the last one gained nothing" if held and not gains else "",
-        )
+        summary = replace(summary, rounds=(*known, made), ended=reason_to_end(known, made, EPISODE_STEPS))
         return RoundsSoFar(dataset.with_episodes([*dataset.episodes, *new]), summary)
 
 

@@ -10,7 +10,7 @@ from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
 from evaluation.report.report import brief, to_html
 from evaluation.report.sections.rounds import rounds_sentence, rounds_table
-from evaluation.rounds import RecordingRound, RoundsSummary
+from evaluation.rounds import RecordingRound, RoundsSummary, reason_to_end
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import make_robot, robot_spec
@@ -75,6 +75,19 @@ def test_a_claim_holds_up_to_a_tenth_and_two_standard_errors():
     assert not made(1, claim, [8.9] * 4).holds
     assert made(1, claim, [6.0, 12.0, 6.0, 12.0]).holds  # its standard error is 1.7
     assert not made(1, -claim, [-11.2] * 4).holds
+
+
+def test_rounds_end_if_two_claims_held_without_a_gain_in_whole_episodes():
+    claim, level = np.full(4, 10.0), [10.0] * 4
+    first, same = made(1, claim, level), made(2, claim, level)
+    assert reason_to_end([first], same, 100)
+    assert not reason_to_end([], same, 100)  # a single round
+    assert not reason_to_end([first], made(2, claim, [12.0] * 4), 100)  # a gain
+    assert not reason_to_end([first], made(2, claim, [5.0] * 4), 100)  # a claim that does not hold
+    assert not reason_to_end([made(1, claim, [5.0] * 4)], same, 100)
+    falls = made(2, claim, level, steps=[20, 30, 20, 100])
+    assert reason_to_end([first], falls, 100)  # its models predict it, with an error of 0.3
+    assert not reason_to_end([first], replace(falls, errors={"a": 2.0}), 100)
 
 
 class Work:
