@@ -294,6 +294,10 @@ def test_models_whose_claims_hold_can_be_trusted_and_exploited_ones_are_named():
     assert (trusted.answer, trusted.tone) == ("b", "warn")
     assert "Not trusted: a (claims 10.00, achieves 4.00)." in trusted.sentence
     assert trusted.sentence.startswith("It predicts, and the claims of controllers evolved in it hold on the robot.")
+    elsewhere = exploited(model="a").elsewhere  # the same figure, but not of a robot
+    alone = replace(judged(), exploitability=(replace(exploited(model="a"), achieved=None, other_models=elsewhere),))
+    sentence = answers(alone)["Which models can be trusted?"].sentence
+    assert "Not trusted: a (claims 10.00, 4.00 on other models)." in sentence
     none = answers(replace(judged(), exploitability=(exploited(model="a"),)))["Which models can be trusted?"]
     assert (none.answer, none.tone) == ("None", "bad")
 
