@@ -11,7 +11,10 @@ from playwright.sync_api import expect
 
 from evaluation.plot_style import LINES
 from evaluation.report import save_report
+from evaluation.transfer import Trace
+from sysid_evo.data import Trajectory
 from sysid_evo.tasks import Target
+from sysid_evo.testing.examples import drone
 from tests.fixtures.browser import DESK, PHONE, TABLET, resize, share_of, sideways
 from tests.fixtures.known_models import SYSTEM
 
@@ -31,6 +34,22 @@ def states_page(report, tmp_path_factory):
         cells[key] = replace(cell, traces=traces)
     states = replace(report, prediction=None, exploitability=(), matrix=replace(report.matrix, cells=cells))
     return save_report(states, tmp_path_factory.mktemp("page"))[1]
+
+
+@pytest.fixture(scope="module")
+def space_page(report, tmp_path_factory):
+    """The page of a body that climbs a helix, past a waypoint."""
+    phase, system = np.linspace(0.0, 6.0, 61), drone()
+    pose = np.zeros((61, 7))
+    pose[:, :3] = np.stack([2.0 * np.sin(phase), 1.0 - np.cos(phase), phase], axis=1)
+    pose[:, 3] = 1.0
+    run = Trajectory(np.zeros((61, 9)), np.zeros((60, 4)), system.dt, pose=pose)
+    trace = Trace(run, 1.0, pose[[20, 60], :3], 0.2)
+    cells = {key: replace(cell, traces=(trace,)) for key, cell in report.matrix.cells.items()}
+    champions = tuple(replace(champion, system=system) for champion in report.matrix.champions)
+    matrix = replace(report.matrix, cells=cells, champions=champions)
+    flown = replace(report, prediction=None, exploitability=(), matrix=matrix)
+    return save_report(flown, tmp_path_factory.mktemp("page"))[1]
 
 
 @pytest.fixture
@@ -230,3 +249,18 @@ def test_states_are_drawn_over_time_with_their_value_now_in_three_digits_of_thei
     expect(now).to_have_text(re.compile(f"^{name} .*{unit}$"))
     assert share_of(LINES[0].light, painted(page)) > 1e-3
     assert widest(page) == 0
+
+
+def test_a_body_in_space_is_drawn_from_above_and_from_the_side_and_its_waypoints_count_in_height(visitor, space_page):
+    page = visitor.open(space_page)
+    seek(page, 1.2)
+    box = page.locator(".screen canvas").first.bounding_box()
+    assert 2.0 * box["width"] < box["height"] < 2.6 * box["width"]
+    shown = painted(page)
+    above, side = shown[: shown.shape[1]], shown[shown.shape[1] : 2 * shown.shape[1]]
+    for half in (above, side):
+        assert share_of(LINES[0].light, half) + share_of(LINES[1].light, half) > 1e-3
+    now = page.locator(".screen .now").first
+    expect(now).to_have_text(re.compile("2 passed"))
+    seek(page, 0.2)
+    expect(now).to_have_text(re.compile("m/s, 0 passed"))
