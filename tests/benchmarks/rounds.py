@@ -1,7 +1,8 @@
 """Comparisons in rounds on environments that fall at once: ``python -m tests.benchmarks.rounds --out FOLDER``.
 
 For each of ``--ids`` and ``--seeds`` a comparison records in ``--rounds`` rounds, in a folder of its own in ``FOLDER``
-(finished ones are not repeated). Rewards and ends of the environments are functions of their observations. Prints the
+(finished ones are not repeated). Rewards and ends of the environments are functions of their observations, with
+``--own`` they are learned. Prints the
 recorded steps, the mean return of the chosen controller over ``--trials`` episodes of 1000 steps in the environment,
 the round it comes from, the return of controls at rest, and the wall time.
 """
@@ -74,6 +75,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seeds", default="0")
     parser.add_argument("--rounds", type=int, default=6)
     parser.add_argument("--trials", type=int, default=40)
+    parser.add_argument("--own", action="store_true", help="the own task of the environment, a learned reward")
     add_markdown(parser)
     given = parser.parse_args(arguments)
     heads = ("environment", "seed", "steps", "returns of the rounds", "chosen", "its return", "rest", "clock s")
@@ -85,7 +87,7 @@ def main(arguments: list[str] | None = None) -> int:
             report = compare(
                 out=folder,
                 robot=case.spec(name),
-                task=case.task,
+                task=None if given.own else case.task,
                 rounds=given.rounds,
                 seed=seed,
                 transfer_trials=20,

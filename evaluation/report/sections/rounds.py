@@ -89,7 +89,7 @@ def rounds_sentence(report: ComparisonResults) -> str:
         else ""
     )
     count, held = len(summary.rounds), [str(one.number) for one in summary.rounds if one.holds]
-    claims = f"the claim held in round {few(held)}" if held else "no claim held"
+    claims = f"claims that held: round {few(held)}" if held else "no claim held"
     ended = f"; no further round: {summary.ended}" if summary.ended else ""
     made = "1 round was" if count == 1 else f"{count} rounds were"
     return f"{short}{made[:1].upper()}{made[1:]} recorded, {summary.steps} steps in all; {claims}{ended}."

@@ -136,7 +136,7 @@ def test_the_report_has_a_row_for_each_round_and_says_why_there_are_no_more():
     assert table.rows[2][3:] == ("20.0", "20.0", "a 0.300")
     sentence = rounds_sentence(shown)
     assert sentence.startswith("Half of the episodes of the first recording end within 7 steps")
-    assert sentence.endswith("the claim held in round 2; no further round: 1900 recorded steps are the most.")
+    assert sentence.endswith("claims that held: round 2; no further round: 1900 recorded steps are the most.")
     assert "stabilise" not in rounds_sentence(with_rounds(RoundsSummary(1600, 200, ROUNDS)))
     assert "Rounds of recording" in "\n".join(printed(brief(shown)))
     assert "Rounds of recording" in to_html(shown)
