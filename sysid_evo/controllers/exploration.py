@@ -11,7 +11,7 @@ import numpy as np
 from sysid_evo.controllers.controller import Controller, View
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.tasks.task import Task
-from sysid_evo.types import Array
+from sysid_evo.types import Array, BoolArray
 
 
 class Exploring(Controller):
@@ -21,6 +21,8 @@ class Exploring(Controller):
     continuous control noise is added, with ``noise`` times half its range as standard deviation. A control with levels
     is replaced by a random one in a share ``noise`` of the steps. Raises `InvalidArgument`.
     """
+
+    has_levels: BoolArray
 
     def __init__(self, inner: Controller, noise: float) -> None:
         if not 0.0 <= noise <= 1.0:

@@ -2,9 +2,8 @@
 
 For each of ``--ids`` and ``--seeds`` a comparison records in ``--rounds`` rounds, in a folder of its own in ``FOLDER``
 (finished ones are not repeated). Rewards and ends of the environments are functions of their observations, with
-``--own`` they are learned. Prints the
-recorded steps, the mean return of the chosen controller over ``--trials`` episodes of 1000 steps in the environment,
-the round it comes from, the return of controls at rest, and the wall time.
+``--own`` they are learned. Prints the recorded steps, the mean return of the chosen controller over ``--trials``
+episodes of 1000 steps in the environment, the round it comes from, the return of controls at rest, and the wall time.
 """
 
 from __future__ import annotations
