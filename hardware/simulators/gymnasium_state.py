@@ -156,7 +156,8 @@ def _ways(env: gymnasium.Env[Any, Any], steps: Sequence[RandomStep], observation
     """Return the ways that ``env`` seems to offer."""
     inner: Any = env.unwrapped
     nx, found = len(steps[0].before), list[StateSetter]()
-    if np.shape(getattr(inner, "state", None)) == (nx,):
+    kept: Any = getattr(inner, "state", None)
+    if np.shape(kept) == (nx,):
         found.append(AttributeState())
     get, put = (getattr(inner, name, None) for name in ("get_state", "set_state"))
     if callable(get) and callable(put) and np.shape(get()) == (nx,):
