@@ -123,14 +123,12 @@ class Experiment(BaseModel):
         0.0, "State-estimate latency, such as 50ms, simulated in evolution and scoring", "Robustness", "TIME", ge=0.0
     )
     rounds: Positive | None = setting(
-        None, "Rounds: record under the evolved controller and noise, fit to all data, evolve on", "Rounds", "N",
-        shown="1",
-    )  # fmt: skip
+        None, "Rounds of recording under the evolved controller and evolving on", "Budget", "N", shown="1"
+    )
     command_noise: float = setting(
-        0.2, "Noise on the commands while a round is recorded, as a share of half their range", "Rounds", "SHARE",
-        ge=0.0, lt=1.0,
-    )  # fmt: skip
-    max_steps: Positive = setting(20_000, "Most steps recorded in all rounds", "Rounds", "N")
+        0.2, "Noise on the commands while a round is recorded, as a share of half their range", ge=0.0, lt=1.0
+    )
+    max_steps: Positive = setting(20_000, "Most steps recorded in all rounds")
     preset: Literal["quick", "standard", "paper"] = setting(
         "quick", "Budget: quick, standard or paper", "Budget", "NAME"
     )
