@@ -69,7 +69,7 @@ def check(
             line.add_row("", Text(result.failure))
         out.print(line)
     if failed:
-        err.print(f"{name} breaks {failed} rules of the contract")
+        err.print(f"{name} breaks rules of the contract ({failed})")
         raise typer.Exit(1)
 
 

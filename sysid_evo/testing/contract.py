@@ -78,7 +78,7 @@ class Contract:
         if broken:
             lines = "\n".join(f"- {result.rule}: {result.failure}" for result in broken)
             kind = self.registry.kind
-            raise ContractViolation(f"{kind} {name!r} breaks {len(broken)} rules of the contract:\n{lines}")
+            raise ContractViolation(f"{kind} {name!r} breaks rules of the contract ({len(broken)}):\n{lines}")
 
 
 def rule_of(check: Check) -> str:

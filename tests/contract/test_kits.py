@@ -133,7 +133,7 @@ def test_the_check_of_a_kind_raises_with_every_broken_rule_and_nothing_for_a_sou
     with pytest.raises(ContractViolation) as raised:
         check("broken", *given(kind))
     head, *lines = str(raised.value).splitlines()
-    assert head == f"{kind} 'broken' breaks {len(found)} rules of the contract:"
+    assert head == f"{kind} 'broken' breaks rules of the contract ({len(found)}):"
     assert lines == [f"- {said}: {reason}" for said, reason in found.items()]
 
 
