@@ -222,7 +222,6 @@ MEANINGLESS = (
     Meaningless(("columns",), "no logs are read", unless=("data",)),
     Meaningless(("controller", "strategy"), "the starts name their own", {"starts": ()}),
     Meaningless(("polish_generations",), "nothing is polished", {"procedure": ("plain",)}),
-    Meaningless(("command_noise", "max_steps"), "nothing is recorded in rounds", unless=("rounds",)),
 )
 """Settings that others make meaningless: giving both is refused."""
 

@@ -13,7 +13,7 @@ from evaluation.cells.assessment import Run, SearchExploit
 from evaluation.cells.controllers import Choose, ControllerCell, Polish, controller_cell, evolution_settings
 from evaluation.cells.learned_task import LearnTask, learning_cell
 from evaluation.cells.plants import Plant
-from evaluation.experiment import Experiment, with_task
+from evaluation.experiment import FILE, Experiment, with_task
 from evaluation.exploitability.assessment import assess_exploitability
 from evaluation.exploitability.results import ModelExploitability
 from evaluation.formatting import with_interval
@@ -26,7 +26,7 @@ from evaluation.members import (
     other_models,
 )
 from evaluation.prediction.scores import error_of
-from evaluation.run_folder import is_run, run_of_controller
+from evaluation.run_folder import run_of_controller
 from evaluation.steps import Steps
 from evaluation.transfer.forecast import Forecast, forecasts
 from evaluation.transfer.matrix import TransferMatrix, TransferResult, transfer, transfer_seeds
@@ -119,8 +119,8 @@ def plan_evolution(experiment: Experiment, store: Store, members: Sequence[str])
 
 
 def _settings(store: Store) -> Mapping[str, Any]:
-    """Return the settings of the run in ``store``; none if it is no run."""
-    return Experiment.read(store.path) if is_run(store.path) else {}
+    """Return the settings of the run in ``store``; none if there are none, as in a folder that `evolve` made."""
+    return Experiment.read(store.path) if (store.path / FILE).is_file() else {}
 
 
 def _learned(task: Spec, store: Store) -> Cell[LearnTask] | None:

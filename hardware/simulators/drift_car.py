@@ -45,7 +45,7 @@ class DriftCar(SimulatorRobot):
     are the acceleration (m/s^2) that engine and brakes request and the steering angle (rad) that a servo approaches.
     States besides those of `PlanarBody` are the steering angle and the speeds of the wheels at their rims. A trial
     begins rolling at 5 m/s; the brakes act above 2 m/s. An episode ends beyond 30 m/s, below 1 m/s, and when it slides
-    backwards. Raises `InvalidArgument`, `MissingExtra`.
+    backwards. ``dt`` is in s. Raises `InvalidArgument`, `MissingExtra`.
 
     Source: Althoff, Würsching, CommonRoad: vehicle models, version 2020a.
     """

@@ -36,7 +36,7 @@ class Quadrotor(SimulatorRobot):
     controls are the thrust (0 to twice the weight) and three body rates for its rate controller with the gain
     ``rate_gain`` (1/s, by default 20 or 4); with "motors" they are the four thrusts. The states are those of
     `RigidBody` in ENU; motor speeds are not measured. An episode ends when it turns over, or beyond 15 m/s or 25 rad/s.
-    Raises `InvalidArgument`, `MissingExtra`.
+    ``dt`` is in s. Raises `InvalidArgument`, `MissingExtra`.
 
     Source: Folk, Paulos, Kumar, RotorPy, 2023.
     """

@@ -53,7 +53,15 @@ OTHER_ARGUMENTS = [
     ("controller", "pursuit(backward=true)", ()),
     *(("task", spec, (system,)) for spec, system in TASKS_WITH_ARGUMENTS),
 ]
-REGISTERED = [(kind, name) for kind, one in CONTRACTS.items() if kind != "model" for name in one.registry.names()]
+ELSEWHERE = ("mujoco",)
+"""Tested in `test_simulated_robots`, which has a file for it."""
+REGISTERED = [
+    (kind, name)
+    for kind, one in CONTRACTS.items()
+    if kind != "model"
+    for name in one.registry.names()
+    if name not in ELSEWHERE
+]
 SOUND = [(kind, one) for kind, (_, cases) in CASES.items() for one in cases.SOUND]
 BROKEN = [
     pytest.param(kind, one, id=f"{kind}-{one.check.__name__}-{number}")

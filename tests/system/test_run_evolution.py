@@ -114,4 +114,4 @@ def test_the_exploit_of_a_model_is_run_on_all_others_and_on_the_robot(run_copy, 
 
 
 def test_finalists_are_scored_by_the_members_and_by_all_other_models(finished_run):
-    assert [one.label for one in planned(finished_run, "linear").champion.settings.judges] == ["linear", "near"]
+    assert [one.label for one in planned(finished_run, "linear").champion.settings.scoring_models] == ["linear", "near"]

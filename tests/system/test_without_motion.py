@@ -47,10 +47,10 @@ def test_every_part_of_the_report_is_there(report):
 def test_the_states_are_drawn_and_what_the_task_tells_is_in_a_table(report):
     found, _ = report
     picture, sheet = traces_picture(found.matrix), further_measures_table(found.matrix)
-    assert len(picture.panels) == 5  # two by the controller evolved in each, one at rest
+    assert len(picture.panels) == 6  # two by the controller evolved in each, one at rest, one at random
     assert found.data.system.states[0].name in drawn(picture.panels[0]).wide
     assert sheet.columns[2:] == ("settled\n(%\nof\ntrials)", "settling\ntime\n(s)", "overshoot\n(%)")
-    assert len(sheet.rows) == 5  # two controllers in two systems, and rest
+    assert len(sheet.rows) == 6  # two controllers in two systems, rest and random commands
 
 
 def test_what_was_computed_is_found_again_as_it_was(report):

@@ -43,7 +43,7 @@ TOGETHER = {
 }  # fmt: skip
 """The pairs of options that are refused: each option, and one that has no effect beside it. All others are taken."""
 ALONE = {
-    "compare": {"columns": "data", "command-noise": "rounds", "max-steps": "rounds"},
+    "compare": {"columns": "data"},
     "drive": {"watch": "controller"},
 }
 """Options that have no effect without another one."""

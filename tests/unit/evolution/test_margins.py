@@ -10,16 +10,19 @@ from sysid_evo.evolution.margins import best_candidate, has_all_fitness, lasting
 from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import Spec
+from sysid_evo.registry.registry import tasks
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks.reward import register_reward
 
 CART = System((Channel("position", "m"), Channel("speed", "m/s")), (Channel("force", "N", -1.0, 1.0),), 0.1)
 
 
-@register_reward("margins_of_one", min_reward=0.0, horizon=60)
-def one_a_step(position, speed):
-    """Every step gives 1: all controllers have all there is."""
-    return 1.0
+@pytest.fixture(scope="module", autouse=True)
+def _every_step_gives_one():
+    """The task `TASK`, in which all controllers have all the fitness there is."""
+    register_reward("margins_of_one", min_reward=0.0, horizon=60)(lambda position, speed: 1.0)
+    yield
+    tasks.forget("margins_of_one")
 
 
 TASK, LINEAR = Spec("margins_of_one"), Spec("linear")
