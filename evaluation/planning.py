@@ -23,8 +23,8 @@ from evaluation.cells.controllers import (
 from evaluation.cells.data import GivenData, HoldOut, RecordedData
 from evaluation.cells.learned_task import LearnTask, learning_cell, needed
 from evaluation.cells.models import Fit, LeaveConditionsOut, Predict, ScoreFit
-from evaluation.cells.plants import Plant, runner_of
-from evaluation.cells.rounds import ChooseRound, Round, RoundData, last_round
+from evaluation.cells.plants import SLOW, Plant, runner_of
+from evaluation.cells.rounds import ChooseRound, Round, RoundData, default_rounds, last_round
 from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, FILE, Experiment, check_settings, with_rounds, with_task
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
 from evaluation.prediction.scores import PERSISTENCE
@@ -112,6 +112,8 @@ def plan_comparison(
         system = dataset.system if dataset is not None else make_robot(robot or robot_spec(DEFAULT_ROBOT)).system
     else:
         system = held[1]
+    if experiment.rounds is None and robot is not None and dataset is None and held is None:
+        experiment = experiment.model_copy(update={"rounds": default_rounds(experiment, robot)})
     in_rounds = experiment.stop_after is None and (experiment.rounds or 1) > 1
     if in_rounds:
         experiment = with_rounds(experiment, system.dt)
@@ -292,9 +294,6 @@ def _farthest(dataset: Dataset | None, robot: Spec | None) -> Array | None:
         return None
     return _farthest_driven(robots.get(robot.name), str(robot))
 
-
-SLOW = 1e-3
-"""Duration of a step (s) from which a robot is not driven for a plan: 1 s for two controls, 24 s for five."""
 
 LONGEST_REFERENCE = 600.0
 """Approximate time (s) up to which evolution on the robot itself is part of a comparison by default."""

@@ -15,6 +15,8 @@ ERROR_STEPS = 20
 """Steps after which the error of the models of a round is measured, on its new episodes."""
 PREDICTS = 0.5
 """Error ahead up to which the models of a round predict its episodes."""
+SHORT_EPISODE = 50
+"""Median steps of an episode below which a recording shows little of what a controller meets later."""
 HOLDS = 0.1
 """Share of a claim that may be missing in the recorded episodes of a round whose claim holds."""
 

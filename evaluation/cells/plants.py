@@ -21,6 +21,8 @@ ROLLOUT_STEPS_PER_SECOND = 2e7
 """Approximate rollout steps per second of a compiled model with a small controller, on one core."""
 STEPS = 500
 """Approximate number of steps of a trial."""
+SLOW = 1e-3
+"""Duration of a step (s) from which a robot is not driven for a plan: 1 s for two controls, 24 s for five."""
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from evaluation.cells.controllers import CONTROLLERS, ControllerSettings, evolut
 from evaluation.cells.data import DATA, HoldOut, SplitDataset
 from evaluation.cells.learned_task import LearnTask, learned_task, needed
 from evaluation.cells.models import Fit
-from evaluation.cells.plants import ROLLOUT_STEPS_PER_SECOND, Plant, fitted, labels_of, runners
-from evaluation.experiment import Experiment
-from evaluation.rounds import ERROR_STEPS, RecordingRound, RoundsSummary, reason_to_end
+from evaluation.cells.plants import ROLLOUT_STEPS_PER_SECOND, SLOW, Plant, fitted, labels_of, runners
+from evaluation.experiment import Experiment, default_task
+from evaluation.rounds import ERROR_STEPS, SHORT_EPISODE, RecordingRound, RoundsSummary, reason_to_end
 from evaluation.storage import load_result, save_result
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.controllers.exploration import Exploring
@@ -28,7 +28,7 @@ from sysid_evo.evolution.margins import best_candidate, lasting_fitness, margins
 from sysid_evo.models import DynamicsModel
 from sysid_evo.plan import CELL_KINDS, Cell, CellContext, CellKind, CellSettings, ResultType, blocked_reason, cell_seed
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import Spec, models
+from sysid_evo.registry import Spec, make_robot, models
 from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array, IntArray
 
@@ -37,6 +37,29 @@ EPISODES, EPISODE_STEPS = 10, 100
 BEYOND = 1.2
 """Horizon of the evolution as a multiple of the episodes of a round."""
 FEWEST_EPISODES = 2
+DEFAULT_ROUNDS = 6
+RANDOM_TRIALS = 4
+"""Number of trials under random commands that decide whether a robot is recorded in rounds."""
+
+
+def default_rounds(experiment: Experiment, robot: Spec) -> int | None:
+    """Return `DEFAULT_ROUNDS` for a program whose trials end within `SHORT_EPISODE` steps under random commands.
+
+    A recording of it shows little of what a good controller meets. None if the settings that rounds choose are given,
+    or the ``robot`` is compiled, physical or slow.
+    """
+    if experiment.stop_after is not None or experiment.data_digest is not None:
+        return None
+    chosen = ("models", "controller", "strategy", "procedure", "starts", "generations", "reference", "ensembles")
+    given = any(getattr(experiment, name) is not None for name in chosen) or experiment.schedule or experiment.penalty
+    made = make_robot(robot)
+    runner = None if given or made.physical or made.dynamics is not None else made.runner()
+    if runner is None or Plant(robot.label, robot.name, robot=robot).timed > SLOW:
+        return None
+    task = make_task(experiment.task or default_task((robot,))).bind(made.system)
+    drive = runner.bind(make_controller("random"), task)
+    steps = drive(np.zeros((1, 0)), trial_seeds(experiment.seed, RANDOM_TRIALS)).survived
+    return DEFAULT_ROUNDS if np.median(steps) < min(SHORT_EPISODE, task.horizon) else None
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from hardware.simulators.gymnasium_spaces import (
     ActionMap,
     ObservationMap,
     control_channels,
+    found_angles,
     make_environment,
     named_channels,
     observation_map,
@@ -37,10 +38,10 @@ class GymnasiumRobot(SimulatorRobot):
 
     The states are its observations: a Box of numbers in a row. ``angle`` names those that are angles, so that they
     become one periodic state: ``"0,1"`` for a cosine and its sine, ``"2"`` for an angle in rad, several separated by
-    semicolons. ``channels`` names the states and ``controls`` the controls, with units in brackets:
-    ``"angle [rad], speed [rad/s]"``, ``"force [N]"``. ``dt`` (s) is the time from one step to the next, by default
-    that of the environment, or 0.05 s if it defines none. The classic environments have names, units and angles
-    already. ``settings`` is a table of further arguments of `gymnasium.make`.
+    semicolons. By default pairs of a cosine and a sine are found; ``""`` is for none. ``channels`` names the states and
+    ``controls`` the controls, with units in brackets: ``"angle [rad], speed [rad/s]"``, ``"force [N]"``. ``dt`` (s) is
+    the time from one step to the next, by default that of the environment, or 0.05 s if it defines none. The classic
+    environments have names, units and angles already. ``settings`` is a table of further arguments of `gymnasium.make`.
 
     An environment of another package is named ``"package:Name-v0"``. Raises `InvalidArgument` if there is no such
     environment, `IncompatibleSystem` if its spaces cannot be states and controls, `MissingExtra`.
@@ -62,7 +63,7 @@ class GymnasiumRobot(SimulatorRobot):
         check_text("robot gymnasium: id", id)
         check_installed("robot 'gymnasium'", self.requires)
         angle = None if angle is None else str(angle)
-        further = {name: value for name, value in (("angle", angle), ("settings", dict(settings or {}))) if value}
+        further = ({} if angle is None else {"angle": angle}) | ({"settings": dict(settings)} if settings else {})
         inside = Spec("", further).text.removeprefix("(").removesuffix(")")
         self.default_task = f'environment(id="{id}"{", " if further else ""}{inside})'
         super().__init__(
@@ -105,7 +106,7 @@ class GymnasiumSimulator(ExternalSimulator):
         what, known = f"robot gymnasium({name})", KNOWN.get(name)
         env = make_environment(name, settings)
         try:
-            given = known.angle if angle is None and known is not None else angle or ""
+            given = angle if angle is not None else found_angles(env) if known is None else known.angle
             observations, states = observation_map(what, env.observation_space, given)
             actions = control_channels(what, env.action_space)
             if known is not None and given == known.angle:

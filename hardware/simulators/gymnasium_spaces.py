@@ -239,3 +239,37 @@ def _actions(space: gymnasium.Space[Any]) -> tuple[tuple[tuple[int, ...] | None,
     for n in shape:
         count *= n
     return (None,) * count, "array", shape
+
+
+TRIED_STEPS = 200
+"""Number of random steps in which angles are found."""
+ON_CIRCLE = 1e-6
+
+
+def found_angles(env: gymnasium.Env[Any, Any]) -> str:
+    """Return the pairs of observations that are cosine and sine of an angle, in the form of `parse_angles`.
+
+    The squares of a pair add up to 1 in all steps under random actions, and both change. The cosine is the one with the
+    larger mean, which is right for a joint that begins near 0; otherwise the angle is counted from another direction.
+    """
+    env.action_space.seed(0)
+    seen = [env.reset(seed=0)[0]]
+    for step in range(TRIED_STEPS):
+        observation, _, ended, late, _ = env.step(env.action_space.sample())
+        seen.append(observation)
+        if ended or late:
+            seen.append(env.reset(seed=step + 1)[0])
+    values = np.asarray(seen, dtype=np.float64)
+    if values.ndim != 2:  # refused by `observation_map` with a sentence
+        return ""
+    free = [i for i in range(values.shape[1]) if np.ptp(values[:, i]) > ON_CIRCLE]
+    pairs = []
+    while free:
+        first = free.pop(0)
+        for other in free:
+            if np.max(np.abs(np.hypot(values[:, first], values[:, other]) - 1.0)) < ON_CIRCLE:
+                free.remove(other)
+                cosine, sine = (first, other) if values[:, first].mean() >= values[:, other].mean() else (other, first)
+                pairs.append(f"{cosine},{sine}")
+                break
+    return "; ".join(pairs)

@@ -15,6 +15,7 @@ from hardware.simulators.gymnasium_spaces import (
     ActionMap,
     ObservationMap,
     control_channels,
+    found_angles,
     make_environment,
     observation_map,
     raw_interface,
@@ -111,6 +112,7 @@ class EnvironmentTask(Task):
     ) -> None:
         self.id, self.rules, self.known = id, RULES.get(id), KNOWN.get(id)
         self.angle, self.settings = "" if angle is None else str(angle), dict(settings or {})
+        asked = None if angle is None else self.angle
         self.learned = LearnedReward.from_text(learned) if learned else None
         self.tried: TriedEnvironment | None = None
         least, longest = 0.0, 0
@@ -120,7 +122,8 @@ class EnvironmentTask(Task):
                 raise InvalidArgument(f"task environment: {what or f'the reward of {id} is known: it is not learned'}")
             least, longest = self.rules.least, self.rules.horizon
         else:
-            self.tried = tried = TriedEnvironment.of(id, self.settings, self.angle)
+            self.tried = tried = TriedEnvironment.of(id, self.settings, asked)
+            self.angle = tried.angle
             least, longest = tried.least if self.learned is None else self.learned.least, tried.horizon
             if exact and isinstance(tried.setter, str):
                 raise IncompatibleTask(f"task environment: {tried.setter}, so its reward cannot be computed exactly")
@@ -342,10 +345,11 @@ class TriedEnvironment:
     observations: ObservationMap
     setter: StateSetter | str
     environment: gymnasium.Env[Any, Any]
+    angle: str
 
     @classmethod
-    def of(cls, name: str, settings: Mapping[str, Any], angle: str) -> TriedEnvironment:
-        """Try the environment called ``name``, once in a process."""
+    def of(cls, name: str, settings: Mapping[str, Any], angle: str | None) -> TriedEnvironment:
+        """Try the environment called ``name``, once in a process; its angles are found if ``angle`` is None."""
         return _tried(name, angle, KeptSettings.of(settings))
 
     def judge(
@@ -374,8 +378,9 @@ class TriedEnvironment:
 
 
 @lru_cache(maxsize=32)
-def _tried(name: str, angle: str, settings: KeptSettings) -> TriedEnvironment:
+def _tried(name: str, angle: str | None, settings: KeptSettings) -> TriedEnvironment:
     env = make_environment(name, settings.values)
+    angle = found_angles(env) if angle is None else angle
     observations, channels = observation_map(f"task environment: {name}", env.observation_space, angle)
     steps = list(random_steps(env, observations, TRIED))
     rewards, states = [one.reward for one in steps], np.array([one.before for one in steps])
@@ -384,4 +389,4 @@ def _tried(name: str, angle: str, settings: KeptSettings) -> TriedEnvironment:
     least = min(rewards) - 0.1 * (max(rewards) - min(rewards))
     scale = tuple(np.where(spread > 0.0, spread, 1.0).tolist())
     setter = state_setter(name, settings.values, observations)
-    return TriedEnvironment(name, least, scale, horizon, channels, observations, setter, env)
+    return TriedEnvironment(name, least, scale, horizon, channels, observations, setter, env, angle)

@@ -148,7 +148,7 @@ def test_the_force_of_the_cart_has_the_sign_of_its_push():
         ({"id": ROTOR, "angle": "1,7"}, InvalidArgument, "from 0 to 2; got '1,7'"),
         ({"id": ROTOR, "angle": "x"}, InvalidArgument, "expected the numbers of a cosine and of its sine"),
         ({"id": ROTOR, "angle": "1,2; 2"}, InvalidArgument, "occurs in two angles"),
-        ({"id": ROTOR, "channels": "speed"}, InvalidArgument, "expected 3 names"),
+        ({"id": ROTOR, "channels": "speed"}, InvalidArgument, "expected 2 names"),
         ({"id": ROTOR, "dt": 0.0}, InvalidArgument, "dt: expected a number above 0"),
         ({"id": ROTOR, "settings": {"limit": np.inf}}, IncompatibleSystem, "a Box of them with finite limits"),
         ({"id": "FrozenLake-v1"}, IncompatibleSystem, "expected a Box of at most 64 observations in a row"),

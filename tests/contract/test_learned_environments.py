@@ -6,6 +6,7 @@ import pytest
 from evaluation.experiment import Experiment
 from evaluation.run_evolution import plan_evolution
 from evaluation.running import compare
+from hardware.robot import find_robot
 from hardware.simulators.gymnasium_robot import GymnasiumRobot
 from hardware.simulators.gymnasium_state import AttributeState, MethodState, MujocoState
 from hardware.simulators.gymnasium_task import EnvironmentTask
@@ -183,3 +184,17 @@ def test_a_comparison_learns_the_reward_and_its_run_evolves_further_with_it(tmp_
     assert paid.traces
     for trace in paid.traces:
         assert trace.fitness == pytest.approx(trace.trajectory.total_reward, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "angles"),
+    [("InvertedDoublePendulum-v5", ["angle_3", "angle_4"]), ("Reacher-v5", ["angle_0", "angle_1"]), ("Swimmer-v5", [])],
+)
+def test_pairs_of_cosine_and_sine_are_found_and_the_state_can_still_be_set(name, angles):
+    pytest.importorskip("mujoco")
+    robot = find_robot(f'gymnasium(id="{name}")')
+    assert [channel.name for channel in robot.system.states if channel.period] == angles
+    assert robot.simulator.settable
+    plain = find_robot(f'gymnasium(id="{name}", angle="")')
+    assert not any(channel.period for channel in plain.system.states)
+    make_task(plain.default_task).bind(plain.system)

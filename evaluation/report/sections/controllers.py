@@ -41,6 +41,7 @@ from evaluation.report.elements import (
 from evaluation.report.sections.evolution import behaviour_class_table, fitness_picture
 from evaluation.report.sections.transfer import further_measures_table, paper_sheet, transfer_sheet
 from evaluation.results import ComparisonResults
+from evaluation.rounds import SHORT_EPISODE
 from evaluation.sufficiency import beats_rest, gain_over_rest, guess_warning, guessed_share, none_beats_rest
 from evaluation.transfer.forecast import FORECAST_RULE, Forecast, ForecastRule, ModelForecast
 from evaluation.transfer.matrix import TransferMatrix
@@ -420,8 +421,6 @@ LOOK_AT_THE_REWARD = (
 
 
 NO_BETTER = "No evolved controller has a higher forecast than the baseline {}."
-SHORT_EPISODE = 50
-"""Median steps of an episode below which a recording shows little of what a controller meets later."""
 
 
 def _to_record(report: ComparisonResults) -> str:

@@ -161,3 +161,24 @@ class Everything(Work):
 
     def result(self, cell):
         return self._results[0]
+
+
+@pytest.mark.parametrize(
+    ("settings", "rounds"),
+    [
+        ({"robot": 'gymnasium(id="CartPole-v1")'}, 6),
+        ({"robot": 'gymnasium(id="CartPole-v1")', "rounds": 1}, 1),
+        ({"robot": 'gymnasium(id="CartPole-v1")', "models": ("linear",)}, None),
+        ({"robot": 'gymnasium(id="CartPole-v1")', "controller": "feed_forward"}, None),
+        ({"robot": 'gymnasium(id="CartPole-v1")', "generations": 20}, None),
+        ({"robot": 'gymnasium(id="CartPole-v1")', "stop_after": "prediction"}, None),
+        (
+            {"robot": 'gymnasium(id="CartPole-v1")', "task": "set_point(channels=angle, low=-1, high=1, horizon=20)"},
+            None,
+        ),
+        ({"robot": 'gymnasium(id="Pendulum-v1")'}, None),
+        ({"robot": "cart_pole", "task": "balance"}, None),
+    ],
+)
+def test_a_program_whose_trials_end_early_is_recorded_in_rounds_unless_settings_of_rounds_are_given(settings, rounds):
+    assert plan_comparison(Experiment(**settings)).experiment.rounds == rounds
