@@ -244,32 +244,34 @@ def _actions(space: gymnasium.Space[Any]) -> tuple[tuple[tuple[int, ...] | None,
 TRIED_STEPS = 200
 """Number of random steps in which angles are found."""
 ON_CIRCLE = 1e-6
+NEAR_ONE = 0.9
 
 
 def found_angles(env: gymnasium.Env[Any, Any]) -> str:
     """Return the pairs of observations that are cosine and sine of an angle, in the form of `parse_angles`.
 
-    The squares of a pair add up to 1 in all steps under random actions, and both change. The cosine is the one with the
-    larger mean, which is right for a joint that begins near 0; otherwise the angle is counted from another direction.
+    The squares of a pair add up to 1 in all steps under random actions, and both change. The cosine is the one that is
+    near 1 when episodes begin, as of a joint that begins near 0, else the first of the two.
     """
     env.action_space.seed(0)
-    seen = [env.reset(seed=0)[0]]
+    begun = [env.reset(seed=0)[0]]
+    later = []
     for step in range(TRIED_STEPS):
         observation, _, ended, late, _ = env.step(env.action_space.sample())
-        seen.append(observation)
+        later.append(observation)
         if ended or late:
-            seen.append(env.reset(seed=step + 1)[0])
-    values = np.asarray(seen, dtype=np.float64)
-    if values.ndim != 2:  # refused by `observation_map` with a sentence
+            begun.append(env.reset(seed=step + 1)[0])
+    if np.ndim(begun[0]) != 1:  # refused by `observation_map` with a sentence
         return ""
+    first_values, values = np.mean(begun, axis=0), np.array([*begun, *later], dtype=np.float64)
     free = [i for i in range(values.shape[1]) if np.ptp(values[:, i]) > ON_CIRCLE]
     pairs = []
     while free:
-        first = free.pop(0)
+        one = free.pop(0)
         for other in free:
-            if np.max(np.abs(np.hypot(values[:, first], values[:, other]) - 1.0)) < ON_CIRCLE:
+            if np.max(np.abs(np.hypot(values[:, one], values[:, other]) - 1.0)) < ON_CIRCLE:
                 free.remove(other)
-                cosine, sine = (first, other) if values[:, first].mean() >= values[:, other].mean() else (other, first)
+                cosine, sine = (other, one) if first_values[other] > NEAR_ONE else (one, other)
                 pairs.append(f"{cosine},{sine}")
                 break
     return "; ".join(pairs)

@@ -94,7 +94,8 @@ def test_channels_and_controls_get_other_names_and_keep_all_else():
 
 
 def test_a_cosine_and_its_sine_become_one_periodic_state_in_the_place_of_the_first():
-    plain, round_ = rotor(), rotor(angle="1,2")
+    plain, round_ = rotor(angle=""), rotor(angle="1,2")
+    assert rotor().system == round_.system
     assert plain.system.state_names == ("observation_0", "observation_1", "observation_2")
     assert round_.system.state_names == ("observation_0", "angle_1")
     assert round_.system.periods == {1: TURN}
