@@ -7,9 +7,8 @@ import numpy as np
 from evaluation.formatting import few, three_digits
 from evaluation.report.document import Number, Numbers, Part
 from evaluation.report.elements import Section, TableElement
-from evaluation.report.sections.controllers import SHORT_EPISODE
 from evaluation.results import ComparisonResults
-from evaluation.rounds import ERROR_STEPS, ROUNDS, RecordingRound
+from evaluation.rounds import ERROR_STEPS, ROUNDS, SHORT_EPISODE, RecordingRound
 
 COLUMNS = ("round", "steps\nin all", "steps an\nepisode", "claimed", "achieved", f"error after\n{ERROR_STEPS} steps")
 
