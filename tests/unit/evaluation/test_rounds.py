@@ -173,7 +173,7 @@ class Everything(Work):
         ({"robot": 'gymnasium(id="CartPole-v1")', "generations": 20}, None),
         ({"robot": 'gymnasium(id="CartPole-v1")', "stop_after": "prediction"}, None),
         (
-            {"robot": 'gymnasium(id="CartPole-v1")', "task": "set_point(channels=angle, low=-1, high=1, horizon=20)"},
+            {"robot": 'gymnasium(id="CartPole-v1")', "task": 'environment(id="CartPole-v1", horizon=8)'},
             None,
         ),
         ({"robot": 'gymnasium(id="Pendulum-v1")'}, None),
