@@ -37,6 +37,7 @@ def test_every_round_is_recorded_under_its_controller_and_what_it_achieves_is_ke
     assert [one.behaviour_class for one in chosen.finalists] == ["round 1", "round 2"]
 
 
+@pytest.mark.nightly
 def test_two_workers_and_a_resumed_run_have_the_same_rounds(run, tmp_path):
     folder, report = run
     other = compare(out=tmp_path, jobs=2, **SMALL)
