@@ -86,10 +86,7 @@ class GymnasiumSimulator(ExternalSimulator):
     observations: ObservationMap
     actions: ActionMap
     setter: StateSetter | None
-
-    @property
-    def settable(self) -> bool:  # type: ignore[override]
-        return self.setter is not None
+    settable: bool
 
     @classmethod
     def describe(
@@ -119,7 +116,8 @@ class GymnasiumSimulator(ExternalSimulator):
             system = System(states, actions, step, name=name)
             found = AttributeState() if known is not None else state_setter(name, settings, observations)
             setter = found if isinstance(found, StateSetter) else None
-            return cls(name, settings, system, observations, ActionMap(env.action_space, actions), setter)
+            taken = ActionMap(env.action_space, actions)
+            return cls(name, settings, system, observations, taken, setter, settable=setter is not None)
         finally:
             env.close()
 
