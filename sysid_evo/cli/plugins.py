@@ -62,8 +62,8 @@ def check(
         verdict = ("ok", "green") if result.failure is None else ("FAILED", "bold red")
         line = Table.grid(padding=(0, 1))  # a wrapped rule continues in the second column
         line.add_column(width=len("FAILED"))
-        said = result.rule + (f": {result.idle}" if result.idle else "")
-        line.add_row(Text("-", "dim") if result.idle else Text(*verdict), Text(said))
+        sentences = result.rule + (f": {result.idle}" if result.idle else "")
+        line.add_row(Text("-", "dim") if result.idle else Text(*verdict), Text(sentences))
         if result.failure is not None:
             failed += 1
             line.add_row("", Text(result.failure))

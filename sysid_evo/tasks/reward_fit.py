@@ -57,23 +57,23 @@ class RewardQuality:
     def sentences(self) -> tuple[str, ...]:
         """The errors in words."""
         step, end, last = self.forms
-        said = [
+        wording = [
             f"Learned reward: {step} of state, control and next state; held-out error {100.0 * self.error:.2g} % of "
             f"its standard deviation ({self.steps:,} steps of {self.episodes:,} episodes)."
         ]
         if self.error > LARGE:
-            said.append(
+            wording.append(
                 "This error is large: claims in models are unreliable. Record longer, or use exact=true in the task if "
                 "the environment can be put into a state."
             )
         if not self.ends:
-            return (*said, "Learned end: none; no recorded episode was terminated.")
-        said.append(
+            return (*wording, "Learned end: none; no recorded episode was terminated.")
+        wording.append(
             f"Learned end: {end}, from {self.ends} recorded ends; held out, {100.0 * self.found:.0f} % of the ends are "
             f"found, with {self.wrong:.2g} wrong ones in 1,000 steps."
         )
-        said.append(f"Reward of the last step: {last}; held-out error {100.0 * self.last_error:.2g} %.")
-        return tuple(said)
+        wording.append(f"Reward of the last step: {last}; held-out error {100.0 * self.last_error:.2g} %.")
+        return tuple(wording)
 
 
 @dataclass(frozen=True)

@@ -381,9 +381,9 @@ def headline(report: ComparisonResults) -> Answer:
         parts.append(f"measured {sized(pick.achieved)} on {report.matrix.robot}{inside}")
     elif pick.other_models is not None:
         parts.append(f"{sized(pick.other_models)} on the other models")
-    said = ", ".join(parts)
+    wording = ", ".join(parts)
     sentences = [_idle(report.matrix, pick.name), NO_BETTER.format(pick.name) if not pick.against else ""]
-    sentences += [f"{said[:1].upper()}{said[1:]}." if said else "", _claim(pick)]
+    sentences += [f"{wording[:1].upper()}{wording[1:]}." if wording else "", _claim(pick)]
     sentences += (
         ["Nothing was run on a robot."] if pick.achieved is None else [_better(pick, report), _share_of(pick, summary)]
     )
@@ -468,7 +468,7 @@ POLISHED = "{} was polished once, from the best of all searches, so the variatio
 def open_questions(summary: TransferSummary) -> tuple[str, ...]:
     """Return what the claims leave open, in sentences."""
     claiming = [c for c in summary.controllers if c.claimed is not None]
-    answers = [said] if (said := seeds_unknown(summary)) else []
+    answers = [wording] if (wording := seeds_unknown(summary)) else []
     single = [c.name for c in claiming if c.achieved is not None and not np.isfinite(c.achieved.standard_error)]
     if single:
         answers.append(f"A single trial on the robot has no error and cannot test a claim: {', '.join(single)}.")

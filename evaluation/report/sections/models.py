@@ -149,12 +149,12 @@ def response_pictures(report: ComparisonResults) -> list[FigureElement]:
     return [
         FigureElement(
             f"{what} of each state to each control",
-            f"{said} Models linearised at the mean of the training data in motion; linear fit: least squares "
+            f"{sentences} Models linearised at the mean of the training data in motion; linear fit: least squares "
             f"over all of these data.{shown}",
             (wide_and_narrow(key, f"{what.lower()} of each state to each control", draw, height, height),),
             details=True,
         )
-        for what, key, draw, said in (
+        for what, key, draw, sentences in (
             ("Step responses", "step-responses", draw_steps, "Change after a unit step at 0 s."),
             ("Frequency responses", "frequency-responses", draw_gains, "Gain, up to half the sampling frequency."),
         )

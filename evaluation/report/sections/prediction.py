@@ -368,8 +368,8 @@ def headline(report: ComparisonResults) -> Answer:
     count += f", not {few(beaten)}." if count and beaten else "." if count else ""
     same = "; no significant difference between them" if len(leaders) > 1 else ""
     whose = "the lowest simulation error N" if len(leaders) > 1 else "its simulation error N"
-    said = (f"{where}, {whose} is {size}{same}.", count, _tried(report))
-    return Answer(question, few(leaders), tuple(filter(None, said)), "good")
+    sentences = (f"{where}, {whose} is {size}{same}.", count, _tried(report))
+    return Answer(question, few(leaders), tuple(filter(None, sentences)), "good")
 
 
 def _tried(report: ComparisonResults) -> str:

@@ -32,7 +32,7 @@ def facts(report: ComparisonResults) -> str:
     recorded = f"{length} of data at {1.0 / data.system.dt:.3g} Hz"
     trials = [] if report.matrix is None else [cell.trials for cell in report.matrix.cells.values()]
     spent = sum(report.timings.values())
-    said = (
+    wording = (
         "" if report.day is None else f"{report.day.day} {report.day:%b %Y}",
         f"sysid-evo {report.versions['sysid-evo']}" if "sysid-evo" in report.versions else "",
         f"preset {settings['preset']}" if "preset" in settings else "",
@@ -41,7 +41,7 @@ def facts(report: ComparisonResults) -> str:
         f"{max(trials)} trials each" if any(trials) else "",
         f"computed in {spent:.0f} s" if spent >= 1.0 else "",
     )
-    return " \u00b7 ".join(filter(None, said))
+    return " \u00b7 ".join(filter(None, wording))
 
 
 def warnings(report: ComparisonResults) -> list[str]:
@@ -78,9 +78,9 @@ def verdict(report: ComparisonResults) -> tuple[Answer, ...]:
     findings = list(headlines(report))
     if is_empty(report):
         both = "" if report.matrix is None else " and no controller could be run"
-        said = f"Nothing: no model could be scored{both}. Look at the failures and notes, or record more data."
+        wording = f"Nothing: no model could be scored{both}. Look at the failures and notes, or record more data."
         compared = report.prediction is not None or report.matrix is not None
-        findings = [Answer("What was found?", "", (said if compared else "Nothing was compared.",))]
+        findings = [Answer("What was found?", "", (wording if compared else "Nothing was compared.",))]
     elif report.transfer is not None and (unknown := open_questions(report.transfer)):
         findings.append(Answer("What is not known?", "", unknown))
     if report.advice is not None and report.advice.remarks:
