@@ -142,8 +142,8 @@
       const places = this.places(), { head, found } = this.read();
       this.place = Math.max(0, Math.min(this.place, places.length - 1));
       const words = found.map((one) => `${one.name} ${number(one.value)}${one.interval ? ` (${number(one.interval[0])} to ${number(one.interval[1])})` : ""}`);
-      const sentences = { valuemin: 0, valuemax: Math.max(0, places.length - 1), valuenow: this.place, valuetext: `${head}: ${words.join(", ")}` };
-      for (const [name, text] of Object.entries(sentences)) this.holder.setAttribute(`aria-${name}`, text);
+      const aria = { valuemin: 0, valuemax: Math.max(0, places.length - 1), valuenow: this.place, valuetext: `${head}: ${words.join(", ")}` };
+      for (const [name, text] of Object.entries(aria)) this.holder.setAttribute(`aria-${name}`, text);
     }
 
     clear() {
