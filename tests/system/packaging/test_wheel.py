@@ -151,7 +151,7 @@ def test_what_a_package_index_shows_is_complete(distribution, project):
 def test_all_is_every_extra_but_those_of_developers(distribution, project):
     brought: dict[str, set[str]] = {}
     for line in metadata_of(distribution["wheel"]).get_all("Requires-Dist", []):
-        extra = re.search(r"(.*);.*extra == '(\w+)'", line)
+        extra = re.search(r"(.*);.*extra == '([\w-]+)'", line)
         if extra:
             brought.setdefault(extra[2], set()).add(extra[1].strip())
     assert set(brought) == {*project["project"]["optional-dependencies"]}
