@@ -31,9 +31,9 @@ def _parsed():
 
 
 def test_there_are_few_modules_and_few_lines():
-    assert len(contents()) <= 320
+    assert len(contents()) <= 330
     assert len(lists()) <= 42
-    assert sum(map(lines_of, contents() + lists())) <= 71_500
+    assert sum(map(lines_of, contents() + lists())) <= 75_500
 
 
 def test_no_module_is_longer_than_can_be_read_at_once():
