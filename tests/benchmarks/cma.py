@@ -1,4 +1,4 @@
-"""CMA-ES of this project compared with the library ``cma``: ``python -m tests.benchmarks.cma functions|speed|resume``.
+"""CMA-ES of this project compared with the library ``cma``: ``python -m tests.benchmarks.cma functions|speed``.
 
 ``functions``: evaluations until a target is reached, or the best value after a budget if the target is not reached, on
 four functions in 10, 40 and 170 dimensions. Both start at the same point with the same population and sigma; other
@@ -6,26 +6,17 @@ settings of ``cma`` are its defaults. Prints medians, their ratio, and the p-val
 Whitney). ``--json FILE`` stores all runs; a stored run is not repeated.
 
 ``speed``: processor time in ms of `ask` and `tell`, measured in alternating blocks of generations.
-
-``resume``: searches by ``cma_es`` and by ``niches`` whose process is killed after a random generation. Another process
-resumes from the checkpoint. The final candidates, fitness and state must be bit-identical to those of a search without
-interruption; exit code 1 if they are not.
 """
 
 from __future__ import annotations
 
 import argparse
-import hashlib
 import itertools
 import json
-import multiprocessing
-import os
-import signal
 import sys
-import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -36,10 +27,7 @@ from rich.table import Table
 from scipy.stats import mannwhitneyu
 from threadpoolctl import threadpool_limits
 
-from sysid_evo.artefacts import CheckpointFile
-from sysid_evo.evolution import EvolutionStrategy, Scores, evolve
 from sysid_evo.evolution.strategies.cma_es import CmaEs
-from sysid_evo.evolution.strategies.strategy import make_strategy
 from sysid_evo.types import Array
 
 OURS, LIBRARY = "ours", "cma"
@@ -223,106 +211,25 @@ def speed(n: int, population: int, blocks: int, generations: int) -> Table:
     return table
 
 
-BEHAVIOUR = ("drive above", "drive below", "steer above", "steer below")
-
-
-@dataclass(frozen=True)
-class Interrupted:
-    """A search by ``strategy`` for ``n`` parameters, whose process may be killed."""
-
-    strategy: str
-    n: int
-    seed: int
-    generations: int
-
-    def make(self) -> EvolutionStrategy:
-        """Return the strategy before its first generation."""
-        strategy = make_strategy(self.strategy, n_parameters=self.n, seed=self.seed)
-        strategy.prepare(behaviour_names=BEHAVIOUR, control_names=("drive", "steer"), generations=self.generations)
-        return strategy
-
-    def scores(self, population: Array, generation: int) -> Scores:
-        """Return a fitness with noise, where some are equal and some very low, and a behaviour."""
-        luck = np.random.default_rng((self.seed, generation)).standard_normal(len(population))
-        fitness = np.round(luck - np.abs(population - 1.0).sum(axis=1), 1)
-        fitness[population[:, 0] > 2.0] = -1e6
-        leans = 0.5 + 0.5 * np.tanh(population[:, :2])
-        return Scores(fitness, np.stack([leans[:, 0], 1 - leans[:, 0], leans[:, 1], 1 - leans[:, 1]], axis=1))
-
-    def resume(self, file: Path, killed_after: int | None) -> None:
-        """Search from where the checkpoint is to the end, where it holds a digest of all, or kill this process."""
-        strategy, checkpoint = self.make(), CheckpointFile(file)
-        done, digest, state = 0, "", checkpoint.load(repr(self))
-        if state is not None:
-            own = dict(state)
-            done, digest = int(own.pop("done")), str(own.pop("digest"))
-            strategy.restore(own)
-        for generation in evolve(strategy, self.scores, self.generations, start=done):
-            content = generation.population.tobytes() + generation.fitness.tobytes()
-            done, digest = generation.index + 1, hashlib.sha256(digest.encode() + content).hexdigest()
-            if done in (killed_after, self.generations):
-                checkpoint.save(repr(self), {"done": done, "digest": digest, **strategy.state})
-            if done == killed_after:
-                os.kill(os.getpid(), signal.SIGKILL)
-
-    def result(self, file: Path, killed_after: int | None = None) -> bytes:
-        """Return the last checkpoint of a search whose process is killed once and that another process resumes."""
-        for moment in [None] if killed_after is None else [killed_after, None]:
-            process = multiprocessing.get_context("spawn").Process(target=self.resume, args=(file, moment))
-            process.start()
-            process.join()
-            assert process.exitcode == (0 if moment is None else -signal.SIGKILL)
-        return file.read_bytes()
-
-
-def interruptions(times: int) -> Iterator[tuple[Interrupted, int]]:
-    """Yield searches of 2 to 170 parameters, ``times`` of each strategy, and after which generation each is killed."""
-    rng = np.random.default_rng(0)
-    for strategy in ("cma_es", "niches"):
-        for seed in range(times):
-            n, generations = int(rng.integers(2, 171)), 120
-            yield Interrupted(strategy, n, seed, generations), int(rng.integers(1, generations))
-
-
-def resume(times: int) -> tuple[Table, bool]:
-    """Return the number of searches of each strategy with the same result, and whether all had it."""
-    same: dict[str, list[bool]] = {}
-    for search, killed_after in interruptions(times):
-        with tempfile.TemporaryDirectory() as folder:
-            whole, resumed = Path(folder) / "whole", Path(folder) / "resumed"
-            equal = search.result(whole) == search.result(resumed, killed_after)
-        same.setdefault(search.strategy, []).append(equal)
-    table = Table(title="killed and resumed")
-    for name in ("strategy", "times", "bit by bit the same"):
-        table.add_column(name, justify="right" if name != "strategy" else "left")
-    for strategy, found in same.items():
-        table.add_row(strategy, str(len(found)), str(sum(found)))
-    return table, all(all(found) for found in same.values())
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Run one of the commands and print its table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
-    of_functions, of_speed, of_resume = (commands.add_parser(name) for name in ("functions", "speed", "resume"))
+    of_functions, of_speed = (commands.add_parser(name) for name in ("functions", "speed"))
     of_functions.add_argument("--seeds", type=int, default=20)
     of_functions.add_argument("--json", type=Path)
     of_speed.add_argument("--parameters", type=int, default=78)
     of_speed.add_argument("--population", type=int, default=50)
     of_speed.add_argument("--blocks", type=int, default=20)
     of_speed.add_argument("--generations", type=int, default=50, help="in a block (50)")
-    of_resume.add_argument("--times", type=int, default=40, help="searches of each strategy (40)")
     given = parser.parse_args(arguments)
-    same = True
     with threadpool_limits(1):
         if given.command == "functions":
             table = functions(given.seeds, given.json)
-        elif given.command == "speed":
-            table = speed(given.parameters, given.population, given.blocks, given.generations)
         else:
-            table, same = resume(given.times)
+            table = speed(given.parameters, given.population, given.blocks, given.generations)
     Console(width=130).print(table)
-    return int(not same)
+    return 0
 
 
 if __name__ == "__main__":

@@ -26,8 +26,8 @@ from sysid_evo.registry import Spec
 from sysid_evo.tasks import PointToPoint
 from tests.benchmarks.cars import EMULATED, recording
 from tests.benchmarks.markdown import add_markdown, print_tables
-from tests.benchmarks.rollout.__main__ import LATER, SEED, evolved
-from tests.benchmarks.rollout.timing import in_turn
+from tests.benchmarks.rollout import LATER, SEED, evolved
+from tests.benchmarks.timing import in_turn
 
 FAMILIES = ("parametrised", "sindy", "nearest_neighbour", "mlp_ensemble")
 CANDIDATES, TRIALS, GENERATIONS = 50, 20, 20

@@ -25,8 +25,8 @@ from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import Spec, make_robot
 from sysid_evo.tasks import Task
 from sysid_evo.tasks.task import make_task
-from tests.benchmarks.rollout.families import recording
-from tests.benchmarks.rollout.timing import in_turn
+from tests.benchmarks.rollout import recording
+from tests.benchmarks.timing import in_turn
 
 TASKS = "point_to_point, walled_track, sideways=walled_track(rays=9, view=6.2)"
 TRIALS = 10

@@ -20,7 +20,6 @@ from hardware.connection import GateLimits
 from hardware.link.messages import Buttons, State
 from hardware.trackers.udp import UdpTracker
 from sysid_evo.errors import LinkLost
-from tests.benchmarks.recorder import kill_once
 from tests.benchmarks.robot.blinding import BOUND, blind
 from tests.benchmarks.robot.cutting import cut
 from tests.benchmarks.robot.killing import kill
@@ -31,6 +30,7 @@ from tests.system.rig.bare_host import PATIENCE, BareHost
 from tests.system.rig.board import EXTERNAL
 from tests.system.rig.faults import Fault
 from tests.system.rig.journal import opened_after, read_journal
+from tests.system.rig.killed_recorder import kill_once
 from tests.system.rig.terminal_car import TerminalCar
 from tests.system.rig.terminal_process import TerminalProcess
 

@@ -1,10 +1,10 @@
-"""Networks over lanes: one, the mean of several, several with separate outputs, and one for each command."""
+"""Networks over lanes: one, the mean of several, and one for each command."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -39,18 +39,6 @@ def network_predictor(networks: Sequence[Layers], n_carry: int, n_control: int) 
 
     Their inputs are ``n_carry`` rows of the carry, then ``n_control`` of the control.
     """
-    return _predictor(network, networks, n_carry, n_control)
-
-
-def separate_networks_predictor(networks: Sequence[Layers], n_carry: int, n_control: int) -> Predictor:
-    """Return a predictor whose outputs are those of the first network, then of the second, and so on.
-
-    The networks have one shape and the same inputs, those of `network_predictor`.
-    """
-    return _predictor(separate_networks, networks, n_carry, n_control)
-
-
-def _predictor(function: Any, networks: Sequence[Layers], n_carry: int, n_control: int) -> Predictor:
     sizes = [networks[0][0][0].shape[0], *(weights.shape[1] for weights, _ in networks[0])]
     if sizes[0] != n_carry + n_control or any(
         [weights.shape[1] for weights, _ in layers] != sizes[1:] for layers in networks
@@ -63,9 +51,8 @@ def _predictor(function: Any, networks: Sequence[Layers], n_carry: int, n_contro
     parameters = NETWORKS.pack(
         sizes, *flat, n_networks=len(networks), n_layers=len(sizes) - 1, n_carry=n_carry, n_control=n_control
     )
-    writes = sizes[-1] * (len(networks) if function is separate_networks else 1)
     reads = (n_carry, n_control)
-    return Predictor(function, parameters, n_scratch=sizes[0] + 3 * max(sizes), reads=reads, writes=writes)
+    return Predictor(network, parameters, n_scratch=sizes[0] + 3 * max(sizes), reads=reads, writes=sizes[-1])
 
 
 def network(x, u, p, y, scratch):
@@ -82,14 +69,6 @@ def network(x, u, p, y, scratch):
         share = 1.0 / float(n_networks)
         for i in range(n_out * LANES):
             y[i] *= share
-
-
-def separate_networks(x, u, p, y, scratch):
-    """Write the outputs of every network one after the other (a predictor, see `stepping`)."""
-    room, weights = view(scratch, gather(x, u, p, scratch)), view(p, NETWORKS.size + int(p[NETWORKS.n_layers]) + 1)
-    size = int(p[NETWORKS.size + int(p[NETWORKS.n_layers])]) * LANES
-    for member in range(int(p[NETWORKS.n_networks])):
-        weights = view(weights, forward(p, weights, scratch, room, view(y, member * size)))
 
 
 def gather(x, u, p, scratch):

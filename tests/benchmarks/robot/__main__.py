@@ -21,7 +21,6 @@ from tests.benchmarks.robot.outcome import Row, save, table_of
 from tests.benchmarks.robot.pacing import pace_busy, pace_disk, pace_idle
 from tests.benchmarks.robot.stopping import stop
 from tests.benchmarks.robot.suspending import suspend
-from tests.benchmarks.robot.whole_loop import whole_loop
 
 REPEATED: dict[str, tuple[Callable[..., list[Row]], int]] = {
     "kill": (kill, 100),
@@ -29,7 +28,6 @@ REPEATED: dict[str, tuple[Callable[..., list[Row]], int]] = {
     "suspend": (suspend, 10),
     "cut": (cut, 50),
     "blind": (blind, 20),
-    "whole-loop": (whole_loop, 10),
 }
 LASTING: dict[str, Callable[..., list[Row]]] = {"pace-idle": pace_idle, "pace-busy": pace_busy, "pace-disk": pace_disk}
 DURATION = 600.0  # s

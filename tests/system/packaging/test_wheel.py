@@ -20,7 +20,7 @@ PYTHON = os.environ.get("PYTHON", sys.executable)
 """The interpreter that the wheel is tried with; another one is named as for make: ``PYTHON=python3.13``."""
 PACKAGES = ("sysid_evo", "model_zoo", "evaluation", "hardware")
 OPTIONAL = (
-    *("torch", "torchdiffeq", "pysindy", "control", "cobs", "serial", "starlette", "uvicorn", "jax"),
+    *("torch", "torchdiffeq", "pysindy", "control", "cobs", "serial", "starlette", "uvicorn"),
     "distributed",
 )
 LEFT_OUT = {"sindy": "sindy"}
@@ -155,9 +155,8 @@ def test_all_is_every_extra_but_those_of_developers(distribution, project):
         if extra:
             brought.setdefault(extra[2], set()).add(extra[1].strip())
     assert set(brought) == {*project["project"]["optional-dependencies"]}
-    jobs = set(brought) - {"all", "bench", "dev", "docs"}
+    jobs = set(brought) - {"all", "dev", "docs"}
     assert brought["all"] == set().union(*(brought[job] for job in jobs))
-    assert not brought["all"] & brought["bench"]
 
 
 def test_nothing_optional_is_installed_by_default(bare):

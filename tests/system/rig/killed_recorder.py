@@ -1,6 +1,4 @@
-"""Kills a recorder at random moments, counts lost records, and times its calls.
-
-    python -m tests.benchmarks.recorder [--kills 50]
+"""A recorder that is killed at some moment, and the records that its journal lacks.
 
 A separate process records frames and commands as fast as possible, and first writes the number of each record to shared
 memory. It is killed with SIGKILL; the journal must be readable and hold every record except, at most, the last one.
@@ -8,21 +6,17 @@ memory. It is killed with SIGKILL; the journal must be readable and hold every r
 
 from __future__ import annotations
 
-import argparse
 import mmap
 import os
-import random
 import signal
 import struct
 import subprocess
 import sys
-import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 
 from hardware.connection import Command, Measurement
 from hardware.recording.journal import Recorder, TimedCommand, read_journal
@@ -30,7 +24,6 @@ from hardware.toy_car import CAR
 
 COUNTER = struct.Struct("<q")
 PATIENCE = 20.0  # s for the recorder to begin
-CALLS = 20_000
 
 
 @dataclass(frozen=True)
@@ -69,7 +62,7 @@ def kill_once(path: Path, *, delay: float) -> Trial:
     """Kill a recorder ``delay`` s after its first record and read what it left."""
     counter = path.with_suffix(".count")
     counter.write_bytes(COUNTER.pack(0))
-    child = subprocess.Popen([sys.executable, "-m", "tests.benchmarks.recorder", "--write", path, counter])
+    child = subprocess.Popen([sys.executable, "-m", "tests.system.rig.killed_recorder", path, counter])
     try:
         deadline = time.monotonic() + PATIENCE
         while COUNTER.unpack(counter.read_bytes())[0] == 0:
@@ -92,44 +85,5 @@ def kill_once(path: Path, *, delay: float) -> Trial:
     return Trial(begun, len(numbers), journal.torn)
 
 
-def call_times(path: Path) -> np.ndarray:
-    """Return the durations in s of calls at 1 kHz, five times a tracker's rate."""
-    durations = np.empty(CALLS)
-    with Recorder(path, CAR, robot="toy") as recorder:
-        for number in range(CALLS):
-            begin = time.perf_counter()
-            tell(recorder, number + 1)
-            durations[number] = time.perf_counter() - begin
-            time.sleep(0.001)
-    return durations
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--write", nargs=2, type=Path, help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
-    if arguments.write:
-        write_forever(*arguments.write)
-    rng = random.Random(arguments.seed)
-    with tempfile.TemporaryDirectory() as folder:
-        trials = [kill_once(Path(folder) / f"{i}.rcj", delay=rng.uniform(0.0, 0.3)) for i in range(arguments.kills)]
-        durations = call_times(Path(folder) / "timed.rcj")
-    console = Console(width=160)
-    lost = [trial.lost for trial in trials]
-    console.print(
-        f"{len(trials)} kills of a recorder at {np.median([t.stored for t in trials]):.0f} records (median): "
-        f"{len(trials)} journals readable, {sum(n == 0 for n in lost)} lost nothing, {sum(n == 1 for n in lost)} one "
-        f"record, {sum(n > 1 for n in lost)} more; {sum(t.torn > 0 for t in trials)} had a torn tail"
-    )
-    console.print(
-        f"a call: median {np.median(durations) * 1e6:.0f} us, p99 {np.quantile(durations, 0.99) * 1e6:.0f} us, "
-        f"p99.9 {np.quantile(durations, 0.999) * 1e6:.0f} us, longest {durations.max() * 1e6:.0f} us of {CALLS}"
-    )
-    if max(lost) > 1:
-        sys.exit("more than one record was lost")
-
-
 if __name__ == "__main__":
-    main()
+    write_forever(*map(Path, sys.argv[1:]))

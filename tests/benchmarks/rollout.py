@@ -14,26 +14,32 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from sysid_evo.controllers import RecurrentNetwork
+from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.engine import DynamicsRunner, rollout
 from sysid_evo.evolution import EnsembleObjective, MuPlusLambda, evolve
 from sysid_evo.models import Disturbed, Dynamics
+from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
+from sysid_evo.registry import Spec, make_robot
 from sysid_evo.tasks import PointToPoint
+from sysid_evo.testing import example_dataset
 from sysid_evo.types import Array
 from tests.benchmarks.markdown import add_markdown, print_tables
-from tests.benchmarks.rollout.families import Case, cases, recording
-from tests.benchmarks.rollout.timing import in_turn
+from tests.benchmarks.timing import in_turn
 
 SEED = 1
 TRIALS = 10
 N_PARAMETERS = 78
 LATER = 10_000  # a generation that evolution does not reach: fresh trials
+MODELS = "parametrised, backprop27, sindy_discrete, nearest_neighbour, mlp_ensemble, neural_ode"
+QUICK_MODELS = "parametrised(generations=5), backprop27(epochs=20), sindy_discrete, nearest_neighbour, linear"
 
 
 def evolved(dynamics: Dynamics, task: PointToPoint, candidates: int, generations: int) -> Array:
@@ -47,10 +53,20 @@ def evolved(dynamics: Dynamics, task: PointToPoint, candidates: int, generations
     return strategy.ask()
 
 
-def measure(case: Case, task: PointToPoint, population: Array, repeats: int) -> dict[str, Any]:
+def recording(episodes: int, steps: int) -> Dataset:
+    """Return episodes of the made-up car without their first second.
+
+    All of them begin at exactly zero; a nearest neighbour may choose any of such equal points.
+    """
+    dataset = example_dataset(episodes=episodes, steps=steps)
+    return dataset.with_episodes(
+        [Trajectory(e.states[20:], e.controls[20:], e.dt, name=e.name) for e in dataset.episodes]
+    )
+
+
+def measure(name: str, dynamics: Dynamics, task: PointToPoint, population: Array, repeats: int) -> dict[str, Any]:
     """Return one row: speeds in million steps per second, and their ratios."""
-    dynamics, controller = case.dynamics, RecurrentNetwork()
-    seeds = trial_seeds(SEED, TRIALS, generation=LATER)
+    controller, seeds = RecurrentNetwork(), trial_seeds(SEED, TRIALS, generation=LATER)
 
     def fast(threads: int, dynamics: Dynamics = dynamics) -> Array:
         return rollout(dynamics, controller, population, task, seeds, engine="float32", threads=threads).fitness
@@ -66,7 +82,7 @@ def measure(case: Case, task: PointToPoint, population: Array, repeats: int) -> 
     steps = population.shape[0] * TRIALS * task.horizon / 1e6
     one, two = timings["one_thread"], timings["two_threads"]
     return {
-        "model": case.name,
+        "model": name,
         "mean_fitness": float(fast(1).mean()),
         "million_steps_per_second": {
             name: steps / (timing.wall if name == "two_threads" else timing.processor)
@@ -101,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Measure, print the table, perhaps write JSON."""
     parser = argparse.ArgumentParser(prog="tests.benchmarks.rollout", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="small populations and one repeat: does it run?")
-    parser.add_argument("--models", nargs="*", default=[], help="only models whose names contain one of these")
+    parser.add_argument("--models", help="instead of some of each kind")
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     add_markdown(parser)
@@ -112,11 +128,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     console, rows = Console(), []
     dataset = recording(episodes=2 if chosen.quick else 12, steps=600)
     with threadpool_limits(1):
-        for case in cases(dataset, generations=5 if chosen.quick else 60):
-            if chosen.models and not any(part in case.name for part in chosen.models):
-                continue
-            population = evolved(case.dynamics, task, candidates, generations)
-            rows.append(measure(case, task, population, repeats))
+        models = {"emulated_car": make_robot("emulated_car").dynamics}
+        for spec in Spec.parse_many(chosen.models or (QUICK_MODELS if chosen.quick else MODELS)):
+            models[spec.label] = make_model(spec).fit(dataset, rng=np.random.default_rng(0))
+        for name, dynamics in models.items():
+            population = evolved(dynamics, task, candidates, generations)
+            rows.append(measure(name, dynamics, task, population, repeats))
     print_tables([speeds(rows)], chosen.markdown, console)
     console.print(
         "goals: mean fitness; thr.: threads. zero: time with nothing that disturbs to time without. "
