@@ -28,6 +28,7 @@ from evaluation.transfer.matrix import load_measured
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, MissingExtra
 from sysid_evo.evolution.champion import load_champion, save_champion
+from sysid_evo.models.adapters import model_texts
 from sysid_evo.plan import Cell, Observer, Plan, Scheduler, Store, execute
 from sysid_evo.plan.store import WAITING
 from sysid_evo.progress import Progress, reporting
@@ -50,7 +51,8 @@ def compare(
     ``data`` is a data set or the path of its logs; without it an emulated car is recorded. ``out`` is the run folder,
     in which results are stored and reused, and the report is written (default: a new ``runs/<time>``). Up to ``jobs``
     cells are computed in parallel, or as many as the workers of a ``scheduler`` have room for, see `execute`.
-    ``progress`` is called with the state of the cells, True shows a bar. ``settings`` are those of `Experiment`::
+    ``progress`` is called with the state of the cells, True shows a bar. ``settings`` are those of `Experiment`.
+    ``models`` may hold objects that an `Adapter` recognises, also in a dict by name::
 
         from evaluation import compare
 
@@ -72,6 +74,8 @@ def compare(
     if data is not None and not isinstance(data, Dataset):
         listed = [data] if isinstance(data, (str, Path)) else list(data)
         given["data"] = tuple(str(Path(path).resolve()) for path in listed)
+    if not isinstance(given.get("models"), (str, type(None))):
+        given["models"] = model_texts(given["models"])
     experiment = Experiment.of({name: _storable(value) for name, value in given.items()})
     for plugin in experiment.plugins:
         load_plugin(plugin)

@@ -9,6 +9,7 @@ import numpy as np
 
 from sysid_evo import Dataset, DynamicsModel, make_model, register_model
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.models.adapters import as_spec
 from sysid_evo.models.ensemble import MeanModel
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import Spec, models
@@ -25,8 +26,8 @@ PARTS = 100
 class Average(MeanModel):
     """Mean of several named families, each fitted to all data, with equal weights.
 
-    ``families`` gives them with their settings, such as ``[narx, neural_ode(updates=200)]``; `narx` and `k_neighbours`
-    by default. To have families selected and weighted, use `auto`. The mean of next states equals the mean of
+    ``families`` gives them with their settings, such as ``[narx, neural_ode(updates=200)]``, in Python also as objects
+    that an `Adapter` recognises; `narx` and `k_neighbours` by default. To have families selected and weighted, use `auto`. The mean of next states equals the mean of
     accelerations, because the next state is affine in the acceleration. Every member starts each step from the mean
     state and keeps its own earlier samples.
 
@@ -38,7 +39,7 @@ class Average(MeanModel):
     periodic = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {}
 
-    families: list[str] | None = None
+    families: list[Any] | None = None
     stochastic: bool = False
     dead_band: bool = False
     max_steps: int | None = 100_000
@@ -86,7 +87,7 @@ class Average(MeanModel):
         self.become(fitted, np.full(len(fitted), 1.0 / len(fitted)))
 
     def _named(self) -> list[Spec]:
-        return [Spec.parse(text) for text in (FAMILIES if self.families is None else self.families)]
+        return [as_spec(one) for one in (FAMILIES if self.families is None else self.families)]
 
     def _unfitted(self) -> list[DynamicsModel]:
         return [make_model(spec) for spec in self._named()]

@@ -14,6 +14,7 @@ from .evolution.loop import Objective, Schedule, Stage, evolve
 from .evolution.strategies.mu_plus_lambda import MuPlusLambda
 from .evolution.strategies.strategy import EvolutionStrategy, make_strategy
 from .interoperation import to_control
+from .models.adapters import Adapter, as_model
 from .models.base import DynamicsModel, make_model
 from .models.dynamics import Dynamics, PlainDynamics
 from .models.storage import load_model, save_model
@@ -24,6 +25,7 @@ from .registry.grammar import Spec
 from .registry.plugins import load_plugin
 from .registry.registry import (
     make_robot,
+    register_adapter,
     register_aggregate,
     register_controller,
     register_model,
@@ -45,6 +47,7 @@ from .version import __version__
 
 __all__ = [
     "__version__",
+    "Adapter",
     "Champion",
     "Channel",
     "CheckpointFile",
@@ -80,6 +83,7 @@ __all__ = [
     "Tuning",
     "View",
     "Windows",
+    "as_model",
     "evolve",
     "evolve_controller",
     "is_stored_artefact",
@@ -96,6 +100,7 @@ __all__ = [
     "make_task",
     "make_vector_env",
     "read_artefact",
+    "register_adapter",
     "register_aggregate",
     "register_controller",
     "register_model",

@@ -11,6 +11,7 @@ from typing import Any
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, MissingExtra, PluginError
 from sysid_evo.files import parsed_toml
 from sysid_evo.models import DynamicsModel
+from sysid_evo.models.adapters import as_spec
 from sysid_evo.registry import Spec, models
 from sysid_evo.system import System
 
@@ -98,13 +99,13 @@ def candidates_for(system: System) -> tuple[list[Candidate], list[str]]:
     ]
 
 
-def candidates_named(texts: Sequence[str]) -> list[Candidate]:
-    """Return the candidates named by ``texts``; a family alone selects its listed candidates, or else its defaults.
+def candidates_named(given: Sequence[object]) -> list[Candidate]:
+    """Return the candidates named by ``given``, specs or objects (`as_spec`); a family alone selects its listed candidates, or else its defaults.
 
     Raises `InvalidArgument` for `auto` itself, and the errors of the registry for wrong names.
     """
     found: list[Candidate] = []
-    for spec in map(Spec.parse, texts):
+    for spec in map(as_spec, given):
         if spec.name == "auto":
             raise InvalidArgument("candidates: expected other families, got auto, which would contain itself")
         models.check(spec)

@@ -15,9 +15,11 @@ from sysid_evo.engine.compiled.closed_loop import LoopData, LoopTrials, RolloutK
 from sysid_evo.engine.results import Rollouts, finished
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import Precision
+from sysid_evo.models.adapters import adapter_of
 from sysid_evo.models.dynamics import Dynamics, enough, started
 from sysid_evo.processors import Engine, available_processors, resolve
 from sysid_evo.randomness import draw_for_steps, draw_for_trials
+from sysid_evo.registry.objects import class_name
 from sysid_evo.tasks.task import Task
 from sysid_evo.types import Array, Seeds, check_shape
 
@@ -92,7 +94,8 @@ def as_runners(given: Mapping[str, Runner | Dynamics], what: str) -> dict[str, R
     found = {name: DynamicsRunner(one) if isinstance(one, Dynamics) else one for name, one in given.items()}
     for name, runner in found.items():
         if not hasattr(runner, "bind"):
-            raise InvalidArgument(f"{what}: expected a model or a runner as {name!r}, got {type(runner).__name__}")
+            hint = f"; fit it first: as_model({class_name(runner)}(...)).fit(dataset)" if adapter_of(runner) else ""
+            raise InvalidArgument(f"{what}: expected a model or a runner as {name!r}, got {class_name(runner)}{hint}")
     return found
 
 

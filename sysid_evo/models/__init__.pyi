@@ -1,10 +1,12 @@
+from .adapters import Adapter, as_model, bases_of, family_name
 from .base import DynamicsModel, require_planar
 from .disturbances import Disturbed, DomainRandomisation, state_std
 from .dynamics import Dynamics, PlainDynamics, training_bounds
 from .penalty import Penalised, UncertaintyPenalty
-from .storage import family_name, load_model, save_model
+from .storage import load_model, save_model
 
 __all__ = [
+    "Adapter",
     "Disturbed",
     "DomainRandomisation",
     "Dynamics",
@@ -12,6 +14,8 @@ __all__ = [
     "Penalised",
     "PlainDynamics",
     "UncertaintyPenalty",
+    "as_model",
+    "bases_of",
     "family_name",
     "load_model",
     "require_planar",

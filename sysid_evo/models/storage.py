@@ -10,6 +10,7 @@ import numpy as np
 
 from sysid_evo.artefacts import read_artefact, stored_file, write_artefact
 from sysid_evo.errors import ArtefactError, InvalidArgument, NotFitted, PluginError, ShapeError, UnknownName
+from sysid_evo.models.adapters import family_name, plain_parameters
 from sysid_evo.models.base import DynamicsModel
 from sysid_evo.models.learned import check_learned
 from sysid_evo.registry.registry import models
@@ -67,7 +68,7 @@ def _described(model: DynamicsModel, tensors: dict[str, Any], place: str) -> dic
     return {
         "name": name,
         "module": type(model).__module__,
-        "parameters": model.get_params(deep=False),
+        "parameters": plain_parameters(model),
         "learned": scalars,
         "system": model.system.to_dict(),
     }
@@ -145,17 +146,6 @@ def _nested(path: Path, key: str, value: object) -> dict[str, Any]:
     if wrong:
         raise ArtefactError(f"{path}: {key}: {wrong[0]} of a model cannot be a {type(value[wrong[0]]).__name__}")
     return value
-
-
-def family_name(model: DynamicsModel) -> str:
-    """Return the name under which the class of ``model`` is registered."""
-    for name, family in models.loaded.items():
-        if family is type(model):
-            return name
-    raise InvalidArgument(
-        f"{type(model).__name__} is not a registered family: decorate it with @register_model(name), "
-        "so that it can be found again when it is loaded"
-    )
 
 
 def _all(value: object, kind: type) -> bool:

@@ -22,6 +22,7 @@ from sysid_evo.errors import ArtefactError, Blocked, InvalidArgument, LinkLost, 
 from sysid_evo.plan.cell import Cell, CellContext, Observer
 from sysid_evo.plan.store import Store, stored
 from sysid_evo.processors import one_blas_thread
+from sysid_evo.registry.objects import objects_named, receive_objects
 
 
 @dataclass(frozen=True)
@@ -129,13 +130,13 @@ class _Pickler(cloudpickle.Pickler):  # type: ignore[misc]  # it has no types
 
 
 def pickled(cell: Cell, store: Store) -> bytes:
-    """Return ``cell`` and all objects that it refers to, pickled for a worker. Raises `Unsendable`."""
+    """Return ``cell`` and all objects that it refers to or names, pickled for a worker. Raises `Unsendable`."""
     buffer = io.BytesIO()
     try:
         _Pickler(buffer, store).dump(cell)
+        return cloudpickle.dumps((objects_named(buffer.getvalue()), buffer.getvalue()))
     except Exception as error:  # an object that cannot be pickled may raise anything
         raise Unsendable(f"{cell.title} cannot be sent: {type(error).__name__}: {error}") from error
-    return buffer.getvalue()
 
 
 PROGRESS_INTERVAL = 0.1  # s
@@ -166,7 +167,9 @@ def run_sent(store: Store, sent: bytes, failed: Collection[str], report: Callabl
     observer = ForwardingObserver(report)
     with warnings.catch_warnings(record=True) as caught:
         try:
-            cell: Cell = pickle.loads(sent)  # from the memory of the parent process, never from a file
+            objects, content = pickle.loads(sent)  # from the memory of the parent process, never from a file
+            receive_objects(objects)
+            cell: Cell = pickle.loads(content)
             why = "" if cell.digest_here() == cell.digest else "another version, or another plugin of that name"
         except Exception as error:  # code of another version may raise anything
             why = f"{type(error).__name__}: {error}"

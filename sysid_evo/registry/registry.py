@@ -1,4 +1,4 @@
-"""Registries that find things by name: the class, the twelve registries, robots by name or file."""
+"""Registries that find things by name: the class, the thirteen registries, robots by name or file."""
 
 from __future__ import annotations
 
@@ -324,12 +324,14 @@ noises: Registry[Any] = Registry("noise", "sysid_evo.noises")
 """Names for ``--noise``."""
 penalties: Registry[Any] = Registry("penalty", "sysid_evo.penalties")
 """Names for ``--penalty``."""
+adapters: Registry[Any] = Registry("adapter", "sysid_evo.adapters")
+"""Types of objects that are models, see `sysid_evo.models.adapters`."""
 
 KINDS: dict[str, Registry[Any]] = {
     registry.kind: registry
     for registry in (
         models, tasks, controllers, strategies, aggregates, robots, trackers, readers, probes, motions, noises,
-        penalties,
+        penalties, adapters,
     )
 }  # fmt: skip
 """The kinds that ``sysid-evo names`` lists."""
@@ -344,6 +346,7 @@ register_tracker = trackers.register
 register_reader = readers.register
 register_probe = probes.register
 register_motion = motions.register
+register_adapter = adapters.register
 
 SUFFIX = ".toml"
 
