@@ -115,7 +115,9 @@ def test_a_fitted_model_is_not_fitted_again_in_silence(throttle_car_data):
 
 
 def test_average_and_auto_take_objects(throttle_car_data, tmp_path):
-    mean = Average(families=["linear", Gain(0.1), Linear(ridge=1.0)]).fit(throttle_car_data, rng=np.random.default_rng(0))
+    mean = Average(families=["linear", Gain(0.1), Linear(ridge=1.0)]).fit(
+        throttle_car_data, rng=np.random.default_rng(0)
+    )
     start = throttle_car_data.episodes[0].states[:1]
     controls = throttle_car_data.episodes[0].controls[:5]
     restored = load_model(save_model(mean, tmp_path / "mean"))
