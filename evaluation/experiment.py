@@ -195,7 +195,8 @@ class Experiment(BaseModel):
 Settings = TypedDict("Settings", {  # noqa: UP013  # several in a line
     "title": str | None, "columns": str | Path | None, "test": Sequence[str] | None,
     "leave_out": Literal["condition"] | None, "held_out": float, "robot": str | None, "minutes": float,
-    "models": Sequence[object] | Mapping[str, object] | None, "ensembles": Sequence[str] | None, "preset": Literal["quick", "standard", "paper"],
+    "models": Sequence[object] | Mapping[str, object] | None, "ensembles": Sequence[str] | None,
+    "preset": Literal["quick", "standard", "paper"],
     "stop_after": Literal["fit", "prediction"] | None, "task": str | None, "controller": str | None,
     "baselines": Sequence[str], "strategy": str | None, "procedure": Procedure | None, "aggregate": str,
     "noise": str | None, "penalty": str, "starts": str | None, "schedule": str, "generations": int | None,

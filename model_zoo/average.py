@@ -27,9 +27,9 @@ class Average(MeanModel):
     """Mean of several named families, each fitted to all data, with equal weights.
 
     ``families`` gives them with their settings, such as ``[narx, neural_ode(updates=200)]``, in Python also as objects
-    that an `Adapter` recognises; `narx` and `k_neighbours` by default. To have families selected and weighted, use `auto`. The mean of next states equals the mean of
-    accelerations, because the next state is affine in the acceleration. Every member starts each step from the mean
-    state and keeps its own earlier samples.
+    that an `Adapter` recognises; `narx` and `k_neighbours` by default. To have families selected and weighted, use
+    `auto`. The mean of next states equals the mean of accelerations, because the next state is affine in the
+    acceleration. Every member starts each step from the mean state and keeps its own earlier samples.
 
     With ``stochastic``, every step adds normal noise: the members' disagreement and the one-step residual on three
     held-out blocks, scaled so that 90 % intervals contain 90 % of the held-out samples after one second.

@@ -100,7 +100,7 @@ def candidates_for(system: System) -> tuple[list[Candidate], list[str]]:
 
 
 def candidates_named(given: Sequence[object]) -> list[Candidate]:
-    """Return the candidates named by ``given``, specs or objects (`as_spec`); a family alone selects its listed candidates, or else its defaults.
+    """Return the candidates of ``given``, see `as_spec`; a family alone selects its listed candidates, or its defaults.
 
     Raises `InvalidArgument` for `auto` itself, and the errors of the registry for wrong names.
     """

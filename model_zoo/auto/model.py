@@ -51,7 +51,8 @@ class Auto(MeanModel):
     ``budget`` (s, on two processors) limits how many candidates are tried, by their *expected* fit time and not by a
     clock: the same data, seed and installed families give the same model on any machine. ``candidates`` names others,
     such as ``[narx, neural_ode(updates=200)]``, which are all tried, in Python also objects that an `Adapter`
-    recognises; a name without settings selects the default candidates of that family. Long fits use all available processors.
+    recognises; a name without settings selects the default candidates of that family. Long fits use all available
+    processors.
 
     With ``stochastic``, every step adds normal noise: the members' disagreement and the held-out one-step residual,
     scaled so that 90 % intervals contain 90 % of the held-out samples after one second. Such a model has no compiled
