@@ -125,7 +125,7 @@ def test_average_and_auto_take_objects(throttle_car_data, tmp_path):
     assert restored.families[0] == "linear"
     assert restored.families[1].startswith("gained(thing=")
     assert restored.families[2] == "linear(ridge=1.0)"
-    assert [one.spec.name for one in candidates_named([Gain(0.1), "narx"])][0] == "gained"
+    assert candidates_named([Gain(0.1), "narx"])[0].spec.name == "gained"
 
 
 def test_evolution_takes_the_fitted_model_of_an_object(throttle_car_data):
