@@ -74,8 +74,9 @@ def compare(
     if data is not None and not isinstance(data, Dataset):
         listed = [data] if isinstance(data, (str, Path)) else list(data)
         given["data"] = tuple(str(Path(path).resolve()) for path in listed)
-    if not isinstance(given.get("models"), (str, type(None))):
-        given["models"] = model_texts(given["models"])
+    models = settings.get("models")
+    if models is not None and not isinstance(models, str):
+        given["models"] = model_texts(models)
     experiment = Experiment.of({name: _storable(value) for name, value in given.items()})
     for plugin in experiment.plugins:
         load_plugin(plugin)
