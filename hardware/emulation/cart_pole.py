@@ -115,4 +115,4 @@ def cart_pole_step(x: Any, u: Any, w: Any, p: Any) -> Any:
 def cart_pole(*, seed: int | None = None) -> SensedRobot:
     """A cart with a pole and two encoders, in simulation; with a ``seed`` a variant of it."""
     kind, parameters = of_kind("cart_pole", CartPoleParameters(), seed)
-    return SensedRobot(kind, CartPolePhysics(parameters), repeats=REPEATS)
+    return SensedRobot(kind, CartPolePhysics(parameters), repeats=REPEATS, default_task="swing_up")

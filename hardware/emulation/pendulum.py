@@ -99,4 +99,4 @@ def pendulum_step(x: Any, u: Any, w: Any, p: Any) -> Any:
 def pendulum(*, seed: int | None = None) -> SensedRobot:
     """A pendulum with a weak motor and an encoder, in simulation; with a ``seed`` a variant of it."""
     kind, parameters = of_kind("pendulum", PendulumParameters(), seed)
-    return SensedRobot(kind, PendulumPhysics(parameters), repeats=REPEATS)
+    return SensedRobot(kind, PendulumPhysics(parameters), repeats=REPEATS, default_task="swing_up")

@@ -121,9 +121,10 @@ class SensedRobot(SimulatedRobot):
 
     stepped: ClassVar[bool] = True
 
-    def __init__(self, name: str, physics: SensedPhysics, *, repeats: int = 1) -> None:
+    def __init__(self, name: str, physics: SensedPhysics, *, repeats: int = 1, default_task: str = "") -> None:
         self.name = name
         self.physics = physics
+        self.default_task = default_task
         self.frame_period = physics.system.dt
         self.dynamics: HeldControl = HeldControl(physics, repeats)
         self.system = self.dynamics.system

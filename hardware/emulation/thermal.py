@@ -98,8 +98,11 @@ def thermal_step(x: Any, u: Any, w: Any, p: Any) -> Any:
     return block, element, power, x[4], x[5], x[6], x[7], x[8], x[9], x[10], u[0]
 
 
+TASK = "set_point(channels=temperature, low=30, high=60, tolerance=1)"
+
+
 @register_robot("thermal")
 def thermal(*, seed: int | None = None) -> SensedRobot:
     """A heated block with a slow power stage and a delay, in simulation; with a ``seed`` a variant of it."""
     kind, parameters = of_kind("thermal", ThermalParameters(), seed)
-    return SensedRobot(kind, ThermalPhysics(parameters), repeats=REPEATS)
+    return SensedRobot(kind, ThermalPhysics(parameters), repeats=REPEATS, default_task=TASK)

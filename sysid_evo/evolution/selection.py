@@ -55,7 +55,8 @@ def choose(
     fitness on the robot, and fitness in other families ranks controllers as the robot does. A champion without
     scoring models keeps its fittest finalist; if only some champions have scoring models, only those are compared.
     Of finalists that have all the fitness there is, the one with the largest margin wins, see `lasting_fitness`.
-    The result holds the finalists of all champions with their scores. Raises `InvalidArgument` without a champion.
+    The result holds the finalists with its kind of controller of all champions, with their scores. Raises
+    `InvalidArgument` without a champion.
     """
     if not searched:
         raise InvalidArgument("choose: expected at least one champion, got none")
@@ -72,7 +73,9 @@ def choose(
     top = max(ranking_value(one[0]) for one in scored or ranked)
     near = [one for one in scored or ranked if ranking_value(one[0]) >= top - EQUAL_SHARE * abs(top)]
     best, own, _ = near[_largest_margin(near, selection_seeds(seed, trials))]
-    return replace(own, parameters=best.parameters, finalists=tuple(finalist for finalist, _, _ in ranked))
+    # searches from several starts may have found controllers of another kind, with other parameters
+    alike = tuple(finalist for finalist, champion, _ in ranked if champion.controller == own.controller)
+    return replace(own, parameters=best.parameters, finalists=alike)
 
 
 def _largest_margin(near: Sequence[tuple[Finalist, Champion, Mapping[str, Runner]]], seeds: Seeds) -> int:

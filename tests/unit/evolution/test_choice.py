@@ -64,6 +64,18 @@ def test_of_several_champions_each_is_scored_on_its_own_models():
     assert [one.forecast for one in best.finalists] == [9.0, 9.5]
 
 
+def test_a_choice_among_different_controllers_keeps_the_finalists_of_its_own_kind_and_can_be_polished():
+    longer = Finalist("", 0, 7.0, np.zeros(N + 6))
+    other = Champion(
+        "other", longer.parameters, ("other",), "min", 0, np.empty((0, 3)),
+        controller=Spec("recurrent", {"hidden": 2}), system=switched_car(), finalists=(longer,),
+    )  # fmt: skip
+    mine, on = champion("mine", finalist(1.0, 6.0), finalist(2.0, 6.0)), {"model": Hill(1.0)}
+    best = choose([(other, on), (mine, on)], seed=1, trials=3)
+    assert (best.name, [len(one.parameters) for one in best.finalists]) == ("mine", [N, N])
+    assert polish("p", best, on, ControllerEvolution(trials=1), seed=0, generations=1).controller == CONTROLLER
+
+
 def test_without_scoring_models_the_fittest_is_chosen_and_a_scored_one_has_priority():
     alone = champion("alone", finalist(0.0, 7.0), finalist(1.0, 8.0))
     assert score_finalists(alone, {}, seed=1) is alone

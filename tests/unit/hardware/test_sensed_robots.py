@@ -16,6 +16,7 @@ from sysid_evo.angles import TURN
 from sysid_evo.errors import InvalidArgument, InvalidSystem, ShapeError
 from sysid_evo.registry import make_robot, robots
 from sysid_evo.system import Channel, System
+from sysid_evo.tasks.task import make_task
 
 ALMOST_NONE = 1e-9
 NAMES = ("pendulum", "cart_pole", "thermal")
@@ -314,3 +315,9 @@ def test_an_environment_reports_its_episodes_under_random_controls():
     low, high = (float(word) for word in found["episodes"].split("after ")[1].split(" steps")[0].split(" to "))
     assert 5 < low < high < 200
     assert np.isfinite(low)
+
+
+@pytest.mark.parametrize("name", ["pendulum", "cart_pole", "thermal"])
+def test_a_robot_without_a_pose_has_a_task_that_fits_it(name):
+    robot = make_robot(name)
+    assert make_task(robot.default_task).bind(robot.system).system is robot.system
