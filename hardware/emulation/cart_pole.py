@@ -10,8 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hardware.emulation.parameters import RobotParameters, of_kind, parameter
-from hardware.emulation.sensed_robot import SensedPhysics, SensedRobot, Sensor
-from sysid_evo.kernels import DynamicsKernel, ScalarStep
+from hardware.emulation.sensed_robot import ScalarPhysics, SensedRobot, Sensor
 from sysid_evo.registry import register_robot
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
@@ -49,7 +48,21 @@ class CartPoleParameters(RobotParameters):
     force_noise: float = parameter(0.4, "N", 0.3, "teeth of the belt, standard deviation of each fine step")
 
 
-class CartPolePhysics(SensedPhysics):
+def cart_pole_step(x: Any, u: Any, w: Any, p: Any) -> Any:
+    """The next carry of `CartPolePhysics`; ``p`` are the parameters in their order and the share of a lag."""
+    cart, bob, length = p[0], p[1], p[2]
+    force = x[4] + (u[0] - x[4]) * p[8]
+    sine, cosine, turning = math.sin(x[2]), math.cos(x[2]), x[3]
+    hinge = p[5] * turning / length
+    push = force - p[3] * x[0] - p[4] * x[1] + hinge * cosine + p[7] * w[0]
+    pull = bob * sine * (length * turning * turning + GRAVITY * cosine)
+    along = (push + pull) / (cart + bob * sine * sine)
+    speed = x[1] + FINE_DT * along
+    turning = turning - FINE_DT / length * (along * cosine + GRAVITY * sine + hinge / bob)
+    return x[0] + FINE_DT * speed, speed, x[2] + FINE_DT * turning, turning, force
+
+
+class CartPolePhysics(ScalarPhysics):
     """The cart-pole in steps of 5 ms; the angle is 0 hanging, counter-clockwise, and counts whole turns.
 
     The carry is position x, speed, angle a, angular speed w, and the force F of the motor (N). M cart, m bob, l
@@ -63,52 +76,19 @@ class CartPolePhysics(SensedPhysics):
     system = SYSTEM
     sensors: ClassVar[Mapping[str, Sensor]] = {"position": Sensor(0.0002, 0.0001), "angle": Sensor(0.0005, ENCODER)}
     estimated_rates: ClassVar[Mapping[str, str]] = {"speed": "position", "angular_speed": "angle"}
+    law = cart_pole_step
     n_carry = 5
-    n_lags = 1
-    n_noise = 1
 
     def __init__(self, parameters: CartPoleParameters | None = None) -> None:
         self.parameters = CartPoleParameters() if parameters is None else parameters
 
-    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
-        return np.concatenate([states[:, -1], controls[:, -1]], axis=1)
-
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        p, (x, v, a, w, force) = self.parameters, carry.T
-        force = force + (control[:, 0] - force) * -math.expm1(-FINE_DT / p.motor_lag)
-        sine, cosine = np.sin(a), np.cos(a)
-        hinge = p.hinge_friction * w / p.length
-        push = force - p.bands * x - p.rail_friction * v + hinge * cosine
-        if noise is not None:
-            push = push + p.force_noise * noise[:, 0]
-        pull = p.bob * sine * (p.length * w * w + GRAVITY * cosine)
-        along = (push + pull) / (p.cart + p.bob * sine * sine)
-        v = v + FINE_DT * along
-        w = w - FINE_DT / p.length * (along * cosine + GRAVITY * sine + hinge / p.bob)
-        return np.stack([x + FINE_DT * v, v, a + FINE_DT * w, w, force], axis=1)
-
-    def kernel(self) -> DynamicsKernel:
-        p = self.parameters
-        numbers = np.array([*astuple(p), -math.expm1(-FINE_DT / p.motor_lag)])
-        return DynamicsKernel(ScalarStep(cart_pole_step, n_carry=5, nu=1, n_noise=1), numbers)
+    @property
+    def numbers(self) -> Array:
+        return np.array([*astuple(self.parameters), -math.expm1(-FINE_DT / self.parameters.motor_lag)])
 
     def release_state(self, rng: np.random.Generator) -> Array:
         """Return the cart in the middle and the pole at any angle, held at rest."""
         return np.array([0.0, 0.0, rng.uniform(-math.pi, math.pi), 0.0])
-
-
-def cart_pole_step(x: Any, u: Any, w: Any, p: Any) -> Any:
-    """`CartPolePhysics.step` in plain numbers; ``p`` are the parameters in their order and the share of a lag."""
-    cart, bob, length = p[0], p[1], p[2]
-    force = x[4] + (u[0] - x[4]) * p[8]
-    sine, cosine, turning = math.sin(x[2]), math.cos(x[2]), x[3]
-    hinge = p[5] * turning / length
-    push = force - p[3] * x[0] - p[4] * x[1] + hinge * cosine + p[7] * w[0]
-    pull = bob * sine * (length * turning * turning + GRAVITY * cosine)
-    along = (push + pull) / (cart + bob * sine * sine)
-    speed = x[1] + FINE_DT * along
-    turning = turning - FINE_DT / length * (along * cosine + GRAVITY * sine + hinge / bob)
-    return x[0] + FINE_DT * speed, speed, x[2] + FINE_DT * turning, turning, force
 
 
 @register_robot("cart_pole")

@@ -10,8 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hardware.emulation.parameters import RobotParameters, of_kind, parameter
-from hardware.emulation.sensed_robot import SensedPhysics, SensedRobot, Sensor
-from sysid_evo.kernels import DynamicsKernel, ScalarStep
+from hardware.emulation.sensed_robot import ScalarPhysics, SensedRobot, Sensor
 from sysid_evo.registry import register_robot
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
@@ -45,7 +44,15 @@ class PendulumParameters(RobotParameters):
     torque_noise: float = parameter(0.05, "N m", 0.3, "cogging and air, standard deviation of each fine step")
 
 
-class PendulumPhysics(SensedPhysics):
+def pendulum_step(x: Any, u: Any, w: Any, p: Any) -> Any:
+    """The next carry of `PendulumPhysics`; ``p`` are the parameters in their order and the share of a lag."""
+    torque = x[2] + (u[0] - x[2]) * p[6]
+    push = torque - p[0] * math.sin(x[0]) - p[2] * x[1] - p[3] * math.tanh(x[1] / STICKING) + p[5] * w[0]
+    speed = x[1] + FINE_DT / p[1] * push
+    return x[0] + FINE_DT * speed, speed, torque
+
+
+class PendulumPhysics(ScalarPhysics):
     """The pendulum in steps of 5 ms; the angle is 0 hanging, counter-clockwise, and counts whole turns.
 
     The carry is angle, angular speed, and the torque of the motor (N m)::
@@ -58,41 +65,19 @@ class PendulumPhysics(SensedPhysics):
     system = SYSTEM
     sensors: ClassVar[Mapping[str, Sensor]] = {"angle": Sensor(0.0005, ENCODER)}
     estimated_rates: ClassVar[Mapping[str, str]] = {"angular_speed": "angle"}
+    law = pendulum_step
     n_carry = 3
-    n_lags = 1
-    n_noise = 1
 
     def __init__(self, parameters: PendulumParameters | None = None) -> None:
         self.parameters = PendulumParameters() if parameters is None else parameters
 
-    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
-        return np.concatenate([states[:, -1], controls[:, -1]], axis=1)
-
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        p, (angle, speed, torque) = self.parameters, carry.T
-        torque = torque + (control[:, 0] - torque) * -math.expm1(-FINE_DT / p.motor_lag)
-        push = torque - p.weight * np.sin(angle) - p.viscous * speed - p.dry * np.tanh(speed / STICKING)
-        if noise is not None:
-            push = push + p.torque_noise * noise[:, 0]
-        speed = speed + FINE_DT / p.inertia * push
-        return np.stack([angle + FINE_DT * speed, speed, torque], axis=1)
-
-    def kernel(self) -> DynamicsKernel:
-        p = self.parameters
-        numbers = np.array([*astuple(p), -math.expm1(-FINE_DT / p.motor_lag)])
-        return DynamicsKernel(ScalarStep(pendulum_step, n_carry=3, nu=1, n_noise=1), numbers)
+    @property
+    def numbers(self) -> Array:
+        return np.array([*astuple(self.parameters), -math.expm1(-FINE_DT / self.parameters.motor_lag)])
 
     def release_state(self, rng: np.random.Generator) -> Array:
         """Return any angle, held at rest."""
         return np.array([rng.uniform(-math.pi, math.pi), 0.0])
-
-
-def pendulum_step(x: Any, u: Any, w: Any, p: Any) -> Any:
-    """`PendulumPhysics.step` in plain numbers; ``p`` are the parameters in their order and the share of a lag."""
-    torque = x[2] + (u[0] - x[2]) * p[6]
-    push = torque - p[0] * math.sin(x[0]) - p[2] * x[1] - p[3] * math.tanh(x[1] / STICKING) + p[5] * w[0]
-    speed = x[1] + FINE_DT / p[1] * push
-    return x[0] + FINE_DT * speed, speed, torque
 
 
 @register_robot("pendulum")

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from hardware.self_test import SelfTestFinding, equation_findings, sensors_findi
 from sysid_evo.carry import clip_state
 from sysid_evo.data.preparation import REACH, STENCIL, RawLog
 from sysid_evo.errors import InvalidSystem, LinkLost
+from sysid_evo.kernels import DynamicsKernel, ScalarStep
+from sysid_evo.laws import array_form
 from sysid_evo.models.dynamics import PlainDynamics, started
 from sysid_evo.system import System
 from sysid_evo.types import Array, check_shape
@@ -56,6 +58,33 @@ class SensedPhysics(PlainDynamics):
         return {
             name: self.sensors.get(name, EXACT) for name in self.system.state_names if name not in self.estimated_rates
         }
+
+
+class ScalarPhysics(SensedPhysics):
+    """Physics of one ``law(x, u, w, p)`` of single numbers for both forms, which returns the next carry.
+
+    ``p`` are the `numbers`, ``w`` is the noise, 0 for none. By default the carry is the state and the last control.
+    """
+
+    law: ClassVar[Callable[..., Any]]
+    n_lags = 1
+    n_noise = 1
+
+    @property
+    @abstractmethod
+    def numbers(self) -> Array:
+        """The parameters of the law, in its order."""
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        return np.concatenate([states[:, -1], controls[:, -1]], axis=1)
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        noise = np.zeros((len(carry), self.n_noise)) if noise is None else noise
+        return np.stack(array_form(type(self).law)(carry.T, control.T, noise.T, self.numbers), axis=1)
+
+    def kernel(self) -> DynamicsKernel:
+        step = ScalarStep(type(self).law, n_carry=self.n_carry, nu=self.system.nu, n_noise=self.n_noise)
+        return DynamicsKernel(step, self.numbers)
 
 
 class Equations(SensedPhysics):

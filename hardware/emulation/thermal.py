@@ -10,8 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hardware.emulation.parameters import RobotParameters, of_kind, parameter
-from hardware.emulation.sensed_robot import SensedPhysics, SensedRobot, Sensor
-from sysid_evo.kernels import DynamicsKernel, ScalarStep
+from hardware.emulation.sensed_robot import ScalarPhysics, SensedRobot, Sensor
 from sysid_evo.registry import register_robot
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
@@ -42,7 +41,16 @@ class ThermalParameters(RobotParameters):
     draught: float = parameter(0.6, "1", 0.3, "change of the loss from one fine step to the next, standard deviation")
 
 
-class ThermalPhysics(SensedPhysics):
+def thermal_step(x: Any, u: Any, w: Any, p: Any) -> Any:
+    """The next carry of `ThermalPhysics`; ``p`` are the parameters in their order and the share of a lag."""
+    power = x[2] + (x[3] - x[2]) * p[7]
+    flow = p[3] * (x[1] - x[0])
+    element = x[1] + FINE_DT / p[2] * (p[0] * power - flow)
+    block = x[0] + FINE_DT / p[1] * (flow - p[4] * (1.0 + p[6] * w[0]) * (x[0] - ROOM))
+    return block, element, power, x[4], x[5], x[6], x[7], x[8], x[9], x[10], u[0]
+
+
+class ThermalPhysics(ScalarPhysics):
     """The block in steps of 50 ms; the room has 20 degC.
 
     The carry is the block's temperature T, the element's E (degC), the power h (share of full), and the eight delayed
@@ -58,9 +66,9 @@ class ThermalPhysics(SensedPhysics):
     system = SYSTEM
     sensors: ClassVar[Mapping[str, Sensor]] = {"temperature": Sensor(0.05, 0.0625)}
     estimated_rates: ClassVar[Mapping[str, str]] = {}
+    law = thermal_step
     n_carry = 3 + LATENCY
     n_lags = LATENCY
-    n_noise = 1
 
     def __init__(self, parameters: ThermalParameters | None = None) -> None:
         self.parameters = ThermalParameters() if parameters is None else parameters
@@ -70,32 +78,13 @@ class ThermalPhysics(SensedPhysics):
         element = block + p.loss / p.contact * (block - ROOM)
         return np.concatenate([block, element, commands[:, :1], commands], axis=1)
 
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        p, (block, element, power) = self.parameters, carry.T[:3]
-        power = power + (carry[:, 3] - power) * -math.expm1(-FINE_DT / p.power_lag)
-        loss = p.loss if noise is None else p.loss * (1.0 + p.draught * noise[:, 0])
-        flow = p.contact * (element - block)
-        element = element + FINE_DT / p.element * (p.power * power - flow)
-        block = block + FINE_DT / p.block * (flow - loss * (block - ROOM))
-        return np.concatenate([np.stack([block, element, power], axis=1), carry[:, 4:], control], axis=1)
-
-    def kernel(self) -> DynamicsKernel:
-        p = self.parameters
-        numbers = np.array([*astuple(p), -math.expm1(-FINE_DT / p.power_lag)])
-        return DynamicsKernel(ScalarStep(thermal_step, n_carry=self.n_carry, nu=1, n_noise=1), numbers)
+    @property
+    def numbers(self) -> Array:
+        return np.array([*astuple(self.parameters), -math.expm1(-FINE_DT / self.parameters.power_lag)])
 
     def release_state(self, rng: np.random.Generator) -> Array:
         """Return the block at room temperature, or still warm."""
         return np.array([rng.uniform(ROOM, 60.0)])
-
-
-def thermal_step(x: Any, u: Any, w: Any, p: Any) -> Any:
-    """`ThermalPhysics.step` in plain numbers; ``p`` are the parameters in their order and the share of a lag."""
-    power = x[2] + (x[3] - x[2]) * p[7]
-    flow = p[3] * (x[1] - x[0])
-    element = x[1] + FINE_DT / p[2] * (p[0] * power - flow)
-    block = x[0] + FINE_DT / p[1] * (flow - p[4] * (1.0 + p[6] * w[0]) * (x[0] - ROOM))
-    return block, element, power, x[4], x[5], x[6], x[7], x[8], x[9], x[10], u[0]
 
 
 TASK = "set_point(channels=temperature, low=30, high=60, tolerance=1)"

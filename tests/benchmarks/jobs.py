@@ -2,10 +2,9 @@
 
 Measures wall time and processor time of the whole command with all its processes, ``--repeats`` times in turn, each in
 a new folder; the minimum counts. ``--jobs 1 2`` are the numbers of processes, ``--workers 2`` those of a local Dask
-cluster that is already running. ``again`` is a second run of the same command in the same folder. ``--before FOLDER``
-is a checkout of an earlier version, measured in addition. Other work on the machine increases the wall time, and the
-processor time a little. ``report.json`` must be the same for any number of jobs, except ``timings``: exit code 1 if it
-is not. Options after ``--`` are passed to ``compare``.
+cluster that is already running. ``again`` is a second run of the same command in the same folder. Other
+work on the machine increases the wall time, and the processor time a little. ``report.json`` must be the same for any
+number of jobs, except ``timings``: exit code 1 if it is not. Options after ``--`` are passed to ``compare``.
 
 Also prints the inputs of a cost model: seconds and bytes of each kind of cell, the amount of data sent to the workers,
 and the cost of distributing a cell, measured on ``--cells`` empty cells: processor time of all local processes, and
@@ -42,10 +41,9 @@ ROOT = Path(__file__).parents[2]
 
 @dataclass
 class Row:
-    """One way to run the command: folder, options, and times in s."""
+    """One way to run the command: options, and times in s."""
 
     name: str
-    checkout: Path
     options: tuple[str, ...]
     workers: int = 0
     wall: list[float] = field(default_factory=list)
@@ -71,11 +69,8 @@ class Row:
 
     def _timed(self, command: list[str]) -> tuple[float, float]:
         """Return wall time and processor time of a command, without those of a cluster."""
-        environment = {**os.environ, "PYTHONPATH": str(self.checkout)}
         began, before = time.perf_counter(), _processor()
-        subprocess.run(
-            command, cwd=self.checkout, env=environment, check=True, stdout=subprocess.DEVNULL, stderr=sys.stderr
-        )
+        subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL, stderr=sys.stderr)
         return time.perf_counter() - began, _processor() - before
 
 
@@ -131,12 +126,12 @@ execute(planned(folder / "diary", *cells), Store(folder), jobs=int(sys.argv[2]))
 """
 
 
-def short_cells(checkout: Path, jobs: int, cells: int) -> float:
+def short_cells(jobs: int, cells: int) -> float:
     """Return the processor time in s of ``cells`` empty cells with this number of jobs, including process starts."""
     with tempfile.TemporaryDirectory(prefix="sysid-evo-cells-") as folder:
         before = _processor()
         command = [sys.executable, "-c", SHORT, folder, str(jobs), str(cells)]
-        subprocess.run(command, cwd=checkout, env={**os.environ, "PYTHONPATH": str(checkout)}, check=True)
+        subprocess.run(command, cwd=ROOT, check=True)
         return _processor() - before
 
 
@@ -159,14 +154,10 @@ def _processor() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def measured(
-    options: Sequence[str], jobs: Sequence[int], workers: Sequence[int], before: Path | None, repeats: int
-) -> list[Row]:
-    """Return the rows, the earlier version first, each run ``repeats`` times in turn."""
-    rows = [Row(f"{count} jobs" if count > 1 else "1 job", ROOT, (*options, "--jobs", str(count))) for count in jobs]
-    rows += [Row(f"Dask, {count} worker{'s' if count > 1 else ''}", ROOT, tuple(options), count) for count in workers]
-    if before is not None:
-        rows.insert(0, Row("before", before.resolve(), tuple(options)))
+def measured(options: Sequence[str], jobs: Sequence[int], workers: Sequence[int], repeats: int) -> list[Row]:
+    """Return the rows, each run ``repeats`` times in turn."""
+    rows = [Row(f"{count} jobs" if count > 1 else "1 job", (*options, "--jobs", str(count))) for count in jobs]
+    rows += [Row(f"Dask, {count} worker{'s' if count > 1 else ''}", tuple(options), count) for count in workers]
     for _ in range(repeats):
         for row in rows:
             row.run()
@@ -180,25 +171,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, nargs="*", default=[1, usable_processors()])
     parser.add_argument("--workers", type=int, nargs="*", default=[2], help="of local Dask clusters (2)")
     parser.add_argument("--cells", type=int, default=200, help="that do nothing (200); 0 leaves them out")
-    parser.add_argument("--before", type=Path, help="checkout of an earlier state")
     parser.add_argument("--repeats", type=int, default=1)
     add_markdown(parser)
     parser.add_argument("further", nargs="*", help="options of compare")
     given = parser.parse_args(arguments)
-    rows = measured(["--preset", given.preset, *given.further], given.jobs, given.workers, given.before, given.repeats)
+    rows = measured(["--preset", given.preset, *given.further], given.jobs, given.workers, given.repeats)
     out = Console(highlight=False)
     print_tables([times(rows)], given.markdown, out)
-    ours = [row for row in rows if row.checkout == ROOT]
-    out.print(costs(ours[-1]))
-    out.print(f"Results that other cells need, each sent to the workers once: {ours[-1].sent / 1e6:.2f} MB.")
-    for name, checkout in [("before", given.before)] * (given.before is not None) + [("now", ROOT)]:
-        taken = {count: short_cells(checkout.resolve(), count, given.cells) for count in given.jobs if given.cells}
-        text = ", ".join(f"{count} jobs {seconds:.1f} s" for count, seconds in taken.items())
-        out.print(f"{given.cells} cells that do nothing take {name}, in processor time: {text}.")
+    out.print(costs(rows[-1]))
+    out.print(f"Results that other cells need, each sent to the workers once: {rows[-1].sent / 1e6:.2f} MB.")
+    taken = {count: short_cells(count, given.cells) for count in given.jobs if given.cells}
+    text = ", ".join(f"{count} jobs {seconds:.1f} s" for count, seconds in taken.items())
+    out.print(f"{given.cells} cells that do nothing take, in processor time: {text}.")
     if given.cells and given.workers:
         seconds = overhead(given.workers[-1], given.cells)
         out.print(f"A cell that does nothing takes {1e3 * seconds:.1f} ms on {given.workers[-1]} workers.")
-    same = all(row.report == ours[0].report for row in ours)
+    same = all(row.report == rows[0].report for row in rows)
     out.print(f"report.json is {'the same' if same else 'NOT the same'} for any number of jobs, apart from timings.")
     out.print(f"Load average {os.getloadavg()[0]:.1f} on {usable_processors()} processors.")
     return 0 if same else 1

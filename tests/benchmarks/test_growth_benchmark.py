@@ -25,15 +25,11 @@ def test_a_fixed_cost_of_small_sizes_does_not_hide_that_large_ones_grow_with_the
 
 
 @pytest.mark.nightly
-def test_a_quick_run_measures_every_family_and_draws_a_picture(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    main(["--quick", "--parts", "fits,commands,tests", "--out", str(tmp_path)])
+def test_a_quick_run_measures_every_family(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["--quick", "--parts", "fits,commands", "--out", str(tmp_path)])
     rows = json.loads((tmp_path / "growth.json").read_text())
     names = {row["name"] for row in rows}
     assert {f"fit {name}" for name in models.names()} <= names
-    assert {"sysid-evo import", "sysid-evo inspect", "prediction test"} <= names
+    assert {"sysid-evo import", "sysid-evo inspect"} <= names
     assert all(value > 0.0 for row in rows for value in (*row["seconds"], *row["megabytes"]))
-    assert "processor time (s)" in (tmp_path / "growth.svg").read_text()
-    assert (tmp_path / "growth.png").is_file()
     assert "grows with" in capsys.readouterr().out

@@ -1,16 +1,15 @@
-"""Growth of cost and memory with size: ``python -m tests.benchmarks.growth [--parts search,fits] [--out FOLDER]``.
+"""Growth of cost and memory with size: ``python -m tests.benchmarks.growth [--parts commands,fits] [--out FOLDER]``.
 
 Each operation is run at increasing sizes; its processor time is the minimum of several rounds over all sizes. The slope
 on log axes over the upper part of the range (sizes from a tenth of the largest) measures the growth: 1 is linear.
-Prints a table and writes ``growth.svg``, ``growth.png`` and ``growth.json`` to ``--out``. A slope that is worse than
-possible is marked with an exclamation mark. Without ``--parts`` it takes about ten minutes on two idle cores.
+Prints a table and writes ``growth.json`` to ``--out``. A slope that is worse than possible is marked with an
+exclamation mark.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,13 +18,11 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from evaluation.plot_style import COLOURS, new_figure, style
 from tests.benchmarks.growth.cases import PARTS, cases
 from tests.benchmarks.growth.measuring import WORSE, Curve, measured
 from tests.benchmarks.markdown import add_markdown, print_tables
 
 MOST_SECONDS = 6.0
-PANELS = 3
 
 
 def table(curves: Sequence[Curve]) -> Table:
@@ -47,37 +44,8 @@ def table(curves: Sequence[Curve]) -> Table:
     return found
 
 
-def picture(curves: Sequence[Curve], folder: Path) -> None:
-    """Write ``growth.svg`` and ``growth.png``: a panel for each part and axis, cost above, memory below."""
-    groups = list(dict.fromkeys((curve.growth.part, curve.growth.axis) for curve in curves))
-    rows = math.ceil(len(groups) / PANELS)
-    with style():
-        figure = new_figure(4.2 * PANELS, 5.6 * rows)
-        axes = figure.subplots(2 * rows, PANELS, squeeze=False)
-        for ax in axes.ravel():
-            ax.set_visible(False)
-        for number, group in enumerate(groups):
-            above, below = (axes[2 * (number // PANELS) + i, number % PANELS] for i in (0, 1))
-            for i, curve in enumerate(c for c in curves if (c.growth.part, c.growth.axis) == group):
-                colour, short = COLOURS[i % len(COLOURS)], curve.growth.name.removeprefix("a generation, ")
-                above.plot(
-                    curve.sizes, curve.seconds, marker=".", color=colour, label=f"{short}: slope {curve.slope:.2f}"
-                )
-                if curve.megabytes:
-                    label = f"{short}: slope {curve.memory_slope:.2f}"
-                    below.plot(curve.sizes, curve.megabytes, marker=".", color=colour, label=label)
-            for ax, unit in ((above, "processor time (s)"), (below, "memory at most (MB)")):
-                ax.set_visible(bool(ax.lines))
-                ax.set(xscale="log", yscale="log", xlabel=group[1], ylabel=unit)
-                if ax.lines:
-                    ax.legend(fontsize=6)
-            above.set_title(f"{group[0]}: {group[1]}")
-        figure.savefig(folder / "growth.svg")
-        figure.savefig(folder / "growth.png", dpi=110)
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure, print the table, write picture and figures."""
+    """Measure, print the table, write the figures."""
     parser = argparse.ArgumentParser(prog="tests.benchmarks.growth", description=__doc__)
     parser.add_argument("--parts", default=",".join(PARTS), help="of " + ", ".join(PARTS))
     parser.add_argument("--only", default="", help="only what has one of these, separated by commas, in its name")
@@ -87,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--quick", action="store_true", help="two small sizes each: does it run?")
     parser.add_argument("--without-memory", action="store_true")
-    parser.add_argument("--out", type=Path, help="folder for growth.svg, growth.png and growth.json")
+    parser.add_argument("--out", type=Path, help="folder for growth.json")
     add_markdown(parser)
     chosen = parser.parse_args(arguments)
     parts = chosen.parts.split(",")
@@ -124,10 +92,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not curves:
         parser.error(f"--only: nothing in {', '.join(parts)} has {chosen.only!r} in its name")
     print_tables([table(curves)], chosen.markdown, console)
-    for note in dict.fromkeys(f"{c.growth.name}: {c.growth.note}" for c in curves if c.growth.note):
-        console.print(note, highlight=False)
-    if chosen.out is not None:
-        picture(curves, chosen.out)
 
 
 if __name__ == "__main__":

@@ -43,7 +43,6 @@ class Growth:
     make: Callable[[int], Callable[[], object]] | None = None
     command: Callable[[int], Sequence[str]] | None = None
     best: float = 1.0
-    note: str = ""
 
 
 @dataclass

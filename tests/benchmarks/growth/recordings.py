@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -54,8 +53,8 @@ def driven(rows: int, seed: int = 0) -> tuple[Array, Array, Array]:
     return states, np.stack([drive, steer], axis=1), np.stack([x, y, heading], axis=1)
 
 
-def long_car(steps: int, *, episodes: int = 1) -> Dataset:
-    """Return a drive of ``steps`` steps, divided into ``episodes`` of equal length."""
+def long_car(steps: int) -> Dataset:
+    """Return a drive of ``steps`` steps."""
     states, controls, _ = driven(steps + 1)
     names = ("forward_speed", "m/s"), ("lateral_speed", "m/s"), ("yaw_rate", "rad/s")
     system = System(
@@ -65,9 +64,7 @@ def long_car(steps: int, *, episodes: int = 1) -> Dataset:
         PlanarBody(),
         "long car",
     )
-    edges = np.linspace(0, steps, episodes + 1).astype(int).tolist()
-    parts = [slice(first, last + 1) for first, last in pairwise(edges)]
-    return Dataset.from_arrays(system, [states[part] for part in parts], [controls[part][:-1] for part in parts])
+    return Dataset.from_arrays(system, [states], [controls[:-1]])
 
 
 def write_log(folder: Path, rows: int) -> tuple[Path, Path]:
