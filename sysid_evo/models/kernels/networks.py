@@ -28,16 +28,19 @@ from sysid_evo.kernels import (
 from sysid_evo.models.kernels.stepping import copy, move_rows
 from sysid_evo.types import Array, IntArray, check_shape
 
-NETWORKS = Layout("n_networks", "n_layers", "n_carry", "n_control")
+NETWORKS = Layout("n_networks", "n_layers", "n_carry", "n_control", "rectified")
 
 Layers: TypeAlias = Sequence[tuple[Array, Array]]
 """Weights (n_in, n_out) and bias (n_out,) of every layer; hidden layers are tanh, the last is linear."""
 
 
-def network_predictor(networks: Sequence[Layers], n_carry: int, n_control: int) -> Predictor:
+def network_predictor(
+    networks: Sequence[Layers], n_carry: int, n_control: int, *, rectified: bool = False
+) -> Predictor:
     """Return a predictor of the mean output of several networks of one shape.
 
-    Their inputs are ``n_carry`` rows of the carry, then ``n_control`` of the control.
+    Their inputs are ``n_carry`` rows of the carry, then ``n_control`` of the control. The hidden units of ``rectified``
+    networks are max(x, 0) instead of tanh x.
     """
     sizes = [networks[0][0][0].shape[0], *(weights.shape[1] for weights, _ in networks[0])]
     if sizes[0] != n_carry + n_control or any(
@@ -49,7 +52,13 @@ def network_predictor(networks: Sequence[Layers], n_carry: int, n_control: int) 
         for (weights, bias), n_in, n_out in zip(layers, sizes, sizes[1:], strict=False):
             flat += [check_shape("bias", bias, (n_out,)), check_shape("weights", weights, (n_in, n_out)).ravel()]
     parameters = NETWORKS.pack(
-        sizes, *flat, n_networks=len(networks), n_layers=len(sizes) - 1, n_carry=n_carry, n_control=n_control
+        sizes,
+        *flat,
+        n_networks=len(networks),
+        n_layers=len(sizes) - 1,
+        n_carry=n_carry,
+        n_control=n_control,
+        rectified=rectified,
     )
     reads = (n_carry, n_control)
     return Predictor(network, parameters, n_scratch=sizes[0] + 3 * max(sizes), reads=reads, writes=sizes[-1])
@@ -99,7 +108,10 @@ def forward(p, weights, inputs, room, y):
         else:
             target = even if layer % 2 == 0 else odd
             dense(source, n_in, view(weights, place), target, n_out)
-            squash(target, n_out * LANES)
+            if p[NETWORKS.rectified] > 0.0:
+                rectify(target, n_out * LANES)
+            else:
+                squash(target, n_out * LANES)
         place += n_out * (n_in + 1)
     return place
 
@@ -108,6 +120,12 @@ def squash(x, count):
     """Replace ``count`` numbers, whole rows, by their tanh."""
     for first in range(0, count, LANES):
         store(x, first, math.tanh(load(x, first)))
+
+
+def rectify(x, count):
+    """Replace ``count`` numbers, whole rows, by 0 if they are negative."""
+    for first in range(0, count, LANES):
+        store(x, first, max(load(x, first), 0.0))
 
 
 def dense(x, n_in, p, y, n_out):

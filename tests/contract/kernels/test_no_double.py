@@ -18,7 +18,10 @@ from sysid_evo.models.kernels import (
     runge_kutta_predictor,
     stepping_kernel,
 )
+from sysid_evo.models.kernels.trees import Tree, tree_predictor
 from sysid_evo.tasks import PointToPoint
+
+LEAF = Tree(np.zeros(1, dtype=int), np.zeros(1), np.array([-1]), np.array([-1]), np.ones((1, 3)))
 
 
 def library(car):
@@ -26,6 +29,7 @@ def library(car):
     predictors = {
         "networks": network_predictor([layers, layers], 3, 0),
         "polynomial": runge_kutta_predictor(polynomial_predictor([[1, 0, 0, 1]], np.ones((1, 3)), 3, 1), car),
+        "trees": tree_predictor([LEAF, LEAF], np.zeros(3), 3, 0),
         "neighbours": neighbour_predictor(
             [(np.zeros((1, 3)), np.zeros((1, 3)))], np.zeros(2, dtype=int), between, [], 3
         ),
@@ -65,7 +69,17 @@ def llvm(source, signature, folder, *, pointer=True):
 @pytest.mark.nightly
 @pytest.mark.parametrize(
     "name",
-    ["networks", "polynomial", "neighbours", "command networks", "recurrent", "observe", "advance", "open loop"],
+    [
+        "networks",
+        "polynomial",
+        "trees",
+        "neighbours",
+        "command networks",
+        "recurrent",
+        "observe",
+        "advance",
+        "open loop",
+    ],
 )
 def test_a_float32_kernel_computes_no_double(name, car, tmp_path):
     source, signature = library(car)[name]
