@@ -11,8 +11,6 @@ from hardware.estimator import PoseEstimator
 from hardware.recording.journal import check_journals
 from hardware.robot import Robot
 from sysid_evo.controllers import Controller
-from sysid_evo.errors import IncompatibleSystem
-from sysid_evo.system import System
 from sysid_evo.tasks import Task
 from sysid_evo.types import Array, check_shape
 
@@ -45,13 +43,3 @@ def check_recording(robot: Robot, folder: Path | None, *, duration: float) -> No
     if folder is not None:
         check_journals(folder, [manoeuvre.name for manoeuvre in manoeuvres])
     robot.check()
-
-
-def check_same_robot(data: System, robot: Robot) -> None:
-    """Raise `IncompatibleSystem` with every difference if ``data`` were not recorded on such a robot."""
-    found = data.differences(robot.system)
-    if found:
-        raise IncompatibleSystem(
-            f"the data are not of robot {robot.name!r}: {'; '.join(found)}. Choose the robot that was recorded, "
-            "or record this one"
-        )

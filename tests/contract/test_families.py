@@ -156,19 +156,6 @@ def test_a_control_moves_a_body_that_is_held_at_rest(family):
     assert not np.array_equal(model.step(rest, np.ones((1, 2)))[:, :3], np.zeros((1, 3)))
 
 
-def test_a_pulse_shorter_than_the_dead_time_moves_a_resting_car(car_data):
-    """One sample of drive, then neutral: the car moves two samples later, and rests until then."""
-    model = make_model("parametrised", generations=3, control_lags=2, dead_band=True)
-    model.fit(car_data, rng=np.random.default_rng(0))
-    model.parameters_[[8, 9]] = 0.0  # no static friction: what is looked at is the hold
-    carry, speeds = np.zeros((1, model.n_carry)), []
-    for drive in (1.0, 0.0, 0.0, 0.0):
-        carry = model.step(carry, np.array([[drive, 0.0]]))
-        speeds.append(carry[0, 0])
-    assert speeds[:2] == [0.0, 0.0]
-    assert speeds[2] > 0.05
-
-
 @pytest.mark.parametrize("family", ["backprop27", "evolved3", "nearest_neighbour", "parametrised"])
 def test_a_family_of_the_paper_beats_persistence_at_one_second(family):
     train, held = example_dataset(episodes=4, steps=500).split(["episode-2"])

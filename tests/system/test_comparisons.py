@@ -10,7 +10,7 @@ import pytest
 from evaluation.cells.assessment import Run
 from evaluation.experiment import Experiment, meaningful
 from evaluation.planning import comparison_in
-from evaluation.report import brief, save_report, to_json
+from evaluation.report import brief, to_json
 from evaluation.run_folder import unneeded_files
 from evaluation.running import compare, gather_results, report_of
 from evaluation.transfer import summarise
@@ -188,12 +188,6 @@ def test_prediction_alone_evolves_nothing(finished_run):
     report = gather_results(alone, Store(finished_run))
     assert report.matrix is None
     assert report.prediction.names == ("persistence", "linear", "near")
-
-
-def test_the_saved_report_is_strict_json_and_one_page(tmp_path, found):
-    document, page = save_report(found, tmp_path)
-    assert json.loads(document.read_text(), parse_constant=pytest.fail)["timings"]
-    assert "linear" in page.read_text()
 
 
 def test_a_result_is_found_under_another_label_and_carries_it(finished_run):

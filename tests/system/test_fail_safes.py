@@ -4,41 +4,27 @@ Bounds in time are those of the firmware, which opens the buttons when a command
 plus what a loaded machine may take from the processes that watch it.
 """
 
-import itertools
-import json
-import os
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hardware.connection import GateLimits
-from hardware.link.messages import Buttons, State
-from hardware.trackers.udp import UdpTracker
 from sysid_evo.errors import LinkLost
 from tests.benchmarks.robot.blinding import BOUND, blind
 from tests.benchmarks.robot.cutting import cut
 from tests.benchmarks.robot.killing import kill
 from tests.benchmarks.robot.stopping import stop
 from tests.benchmarks.robot.suspending import suspend
-from tests.fixtures.waiting import is_running, wait_until
-from tests.system.rig.bare_host import PATIENCE, BareHost
-from tests.system.rig.board import EXTERNAL
 from tests.system.rig.faults import Fault
-from tests.system.rig.journal import opened_after, read_journal
+from tests.system.rig.journal import read_journal
 from tests.system.rig.killed_recorder import kill_once
 from tests.system.rig.terminal_car import TerminalCar
-from tests.system.rig.terminal_process import TerminalProcess
 
 LOAD = 0.2  # s
 SEED = 5
-MARGIN = 0.1  # s for a loaded machine, on top of what the firmware guarantees
 FORWARD = np.array([1.0, 0.0])
-TRACKER = UdpTracker("car", 0, clock="host")
 
 
 def check(rows):
@@ -137,144 +123,3 @@ def test_a_pulled_plug_is_a_lost_link():
             [connection.measure(0.05) for _ in range(2000)]  # ten seconds of frames
         with pytest.raises(LinkLost, match="gone"):
             connection.send(FORWARD, valid_for=0.15)
-
-
-NONCES = itertools.count(1)
-
-
-@pytest.fixture(scope="module")
-def process(tmp_path_factory):
-    """The car's process, which every test leaves unhurt; its journal and what its tracker sees stand beside it."""
-    journal = tmp_path_factory.mktemp("rig") / "journal"
-    with TRACKER.open() as stream, TerminalProcess(tracker=stream.address, seed=1, journal=journal) as process:
-        process.journal, process.stream = journal, stream
-        yield process
-
-
-@pytest.fixture
-def host(process):
-    """A host in a session of its own; what the tracker saw before has been read."""
-    while process.stream.read(0.0) is not None:
-        pass
-    with BareHost(process.port) as host:
-        host.answer = host.hello(next(NONCES))
-        yield host
-
-
-def test_commands_move_the_car_and_silence_stops_it(process, host):
-    for _ in range(5):  # a machine that pauses for longer than a command lives stops the car before its time
-        host.command(Buttons.NONE)
-        for _ in range(12):
-            host.command(Buttons.FORWARD)
-            time.sleep(0.05)
-        last = time.monotonic()
-        wait_until(lambda since=last: opened_after(read_journal(process.journal), since) is not None)
-        host.status(Buttons.NONE, State.TRIPPED)
-        frames = []
-        while (frame := process.stream.read(0.1)) is not None and frame.source_time < last:
-            frames.append(frame)
-        if np.hypot(*(frames[-1].pose - frames[0].pose)[:2]) > 0.2:
-            break
-        host.answer = host.hello(next(NONCES))
-    assert opened_after(read_journal(process.journal), last) - last < 0.15 + MARGIN
-    assert np.hypot(*(frames[-1].pose - frames[0].pose)[:2]) > 0.2
-    assert all(frame.valid for frame in frames)
-
-
-def test_frames_carry_consecutive_numbers_and_times_on_the_host_s_clock(process, host):
-    before = time.monotonic()
-    frames = [process.stream.read(PATIENCE) for _ in range(100)]
-    assert [frame.frame for frame in frames] == list(range(frames[0].frame, frames[0].frame + 100))
-    np.testing.assert_allclose(np.diff([frame.source_time for frame in frames]), 0.005, atol=1e-9)
-    assert before - PATIENCE < frames[0].source_time < frames[-1].source_time < time.monotonic()
-
-
-def test_a_stop_opens_the_buttons_at_once(host):
-    host.drive(Buttons.FORWARD | Buttons.LEFT)
-    trips = host.heard[-1].trips
-    host.stop()
-    assert host.status(Buttons.NONE).trips == trips
-
-
-def test_a_reset_makes_a_new_boot_and_the_old_session_is_worth_nothing(process, host):
-    host.drive(Buttons.FORWARD)
-    process.inject(Fault(kind="reset"))
-    assert host.status(Buttons.NONE).state is State.WAITING
-    host.command(Buttons.FORWARD)
-    for _ in range(2):
-        assert host.status(Buttons.NONE).state is State.WAITING
-    again = host.hello(next(NONCES))
-    assert again.boot_count == host.answer.boot_count + 1
-    assert again.reset_cause == EXTERNAL
-
-
-def test_a_pulled_plug_opens_the_buttons_and_comes_back_under_the_same_name(process, host):
-    host.drive(Buttons.FORWARD)
-    since = time.monotonic()
-    process.inject(Fault(kind="unplug", duration=0.4))
-    with pytest.raises(EOFError):
-        host.status(Buttons.BACKWARD)
-    wait_until(lambda: Path(process.port).exists())
-    with BareHost(process.port) as again:
-        assert again.status(Buttons.NONE).state is State.TRIPPED
-        again.hello(next(NONCES))
-        again.drive(Buttons.BACKWARD)
-    entries = [entry for entry in read_journal(process.journal) if entry.time > since]
-    pulled = next(entry.time for entry in entries if entry.event == "unplug")
-    opened = next(entry.time for entry in entries if entry.event == "buttons" and entry.value == 0)
-    assert opened - pulled < 0.15 + MARGIN
-
-
-def test_damaged_commands_close_nothing(process, host):
-    host.drive(Buttons.LEFT)
-    before = host.heard[-1]
-    process.inject(Fault(kind="flip", duration=0.4))
-    time.sleep(0.1)
-    host.command(Buttons.FORWARD)
-    host.status(Buttons.NONE, State.TRIPPED)
-    host.command(Buttons.FORWARD)  # the line is sound again: its delimiter ends what was damaged
-    status = [host.status(Buttons.NONE, State.TRIPPED) for _ in range(4)][-1]
-    assert status.crc + status.length > before.crc + before.length
-    assert status.last_sequence == 2
-
-
-def test_the_same_seed_sees_the_same_noise_and_nothing_is_left_behind_however_it_ends():
-    seen = []
-    for end in (None, signal.SIGTERM, signal.SIGHUP):
-        faults = [Fault(kind="version")] if end is None else []
-        with TRACKER.open() as stream, TerminalProcess(tracker=stream.address, seed=3, faults=faults) as process:
-            seen.append([stream.read(PATIENCE).pose.tolist() for _ in range(5)])
-            if end is None:
-                with BareHost(process.port) as host:
-                    assert host.hello().major == 2, "firmware of another major version says so"
-                process.close()
-                process.close()
-                with pytest.raises(LinkLost, match="has ended"):
-                    process.inject(Fault(kind="reset"))
-            else:
-                os.kill(process.pid, end)
-            wait_until(lambda pid=process.pid: not is_running(pid))
-            assert not Path(process.port).parent.exists()
-    assert seen[0] == seen[1] == seen[2]
-
-
-def test_it_ends_when_its_host_is_killed():
-    program = (
-        "from tests.system.rig.terminal_process import TerminalProcess\n"
-        "import json, time\n"
-        "process = TerminalProcess(seed=1)\n"
-        "print(json.dumps([process.pid, process.port]), flush=True)\n"
-        "time.sleep(60)\n"
-    )
-    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as host:
-        pid, port = json.loads(host.stdout.readline())
-        assert is_running(pid)
-        host.kill()
-        wait_until(lambda: not is_running(pid))
-        assert not Path(port).parent.exists()
-
-
-def test_a_process_that_cannot_start_is_an_error(capfd):
-    with pytest.raises(LinkLost, match="ended before it was ready"):
-        TerminalProcess(tracker=("127.0.0.1", -1), seed=-1)
-    assert "seed" in capfd.readouterr().err

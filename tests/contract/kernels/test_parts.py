@@ -19,7 +19,6 @@ from sysid_evo.motion import PlanarBody
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
-from sysid_evo.testing import example_dataset
 from sysid_evo.testing.examples import ExampleDynamics, example_systems
 from tests.fixtures.lanes import OWN_FIRST, RTOL, call_block, step_between_guards
 from tests.fixtures.systems import CART, cart
@@ -160,15 +159,3 @@ def test_the_compiled_form_adds_the_change_of_a_sum_of_states_as_the_model_does(
     )
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)
     assert np.abs(expected[:, 0]).max() == 1.5
-
-
-def test_a_pulse_shorter_than_the_dead_time_moves_a_resting_car():
-    """One sample of drive, then neutral: the car moves two samples later, and rests until then."""
-    model = make_model("parametrised", generations=3, control_lags=2, dead_band=True).fit(example_dataset(), rng=0)
-    model.parameters_[[8, 9]] = 0.0  # no static friction: what is looked at is the hold
-    carry, speeds = np.zeros((1, model.n_carry)), []
-    for drive in (1.0, 0.0, 0.0, 0.0):
-        carry = kernel_step(model.kernel(), carry, np.array([[drive, 0.0]]), precision="float32")
-        speeds.append(carry[0, 0])
-    assert speeds[:2] == [0.0, 0.0]
-    assert speeds[2] > 0.05

@@ -17,8 +17,6 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
-
 from hardware.emulation.cars import emulated_car
 from tests.system.rig.board import Board
 from tests.system.rig.faults import KINDS, Fault, FaultSchedule
@@ -39,14 +37,14 @@ def main() -> None:
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, PRIORITY)
     with tempfile.TemporaryDirectory(prefix="terminal-car-") as folder, contextlib.ExitStack() as open_things:
-        port = PseudoPort(options.port or Path(folder) / "port")
+        port = PseudoPort(Path(folder) / "port")
         journal = RigLogWriter(options.journal)
         open_things.callback(journal.close)
         start = time.monotonic()
         faults = FaultSchedule([Fault(**json.loads(entry)) for entry in options.fault], start)
-        poses = PoseStream(options.tracker, options.body, faults)
+        poses = PoseStream(options.tracker, "car", faults)
         open_things.callback(poses.close)
-        board = Board(port, faults, journal, np.random.default_rng(options.seed))
+        board = Board(port, faults, journal)
         car = MovingCar(emulated_car(seed=options.car), seed=options.seed, start=start)
         port.plug()
         open_things.callback(port.unplug)
@@ -60,11 +58,9 @@ def main() -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tests.system.rig", description=__doc__)
-    parser.add_argument("--seed", type=int, default=None, help="of all noise and damage; drawn without it")
+    parser.add_argument("--seed", type=int, default=None, help="of all noise; drawn without it")
     parser.add_argument("--car", type=int, default=None, help="seed of another car of the kind")
-    parser.add_argument("--body", default="car", help="name under which the tracker sees the car")
     parser.add_argument("--tracker", type=_address, default=None, metavar="HOST:PORT", help="where frames are sent")
-    parser.add_argument("--port", type=Path, default=None, help="link that points to the serial port")
     parser.add_argument("--journal", type=Path, default=None, help="file for what the buttons and the wire did")
     parser.add_argument(
         "--fault",

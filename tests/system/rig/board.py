@@ -5,8 +5,6 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-import numpy as np
-
 from hardware.link.framing import FrameDecoder, encode
 from hardware.link.messages import HelloAcknowledgement, unpack
 from tests.system.rig.core import FirmwareCore
@@ -22,19 +20,15 @@ class Board:
     """Gives the firmware its bytes and the time, and the host its answers.
 
     ``buttons`` are those closed, bits as in a command. ``journal`` gets everything that happens, at
-    the time it happens. ``rng`` decides how bytes are damaged.
+    the time it happens.
     """
 
-    def __init__(
-        self, port: PseudoPort, faults: FaultSchedule, journal: RigLogWriter, rng: np.random.Generator
-    ) -> None:
+    def __init__(self, port: PseudoPort, faults: FaultSchedule, journal: RigLogWriter) -> None:
         self.buttons = 0
         self._port = port
         self._faults = faults
         self._journal = journal
-        inward, outward = rng.spawn(2)
-        self._inward = Wire(faults, inward)
-        self._outward = Wire(faults, outward)
+        self._inward, self._outward = Wire(faults), Wire(faults)
         self._resets = self._starts = 0
         self._restart()
 

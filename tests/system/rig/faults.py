@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass, replace
 from sysid_evo.errors import InvalidArgument
 
 KINDS = {
-    "flip": "every byte arrives with other bits",
     "stall": "no byte arrives until the window ends, then all of them",
     "unplug": "the port is gone; it comes back, under the same link, when the window ends",
     "reset": "the firmware starts again as the window begins",

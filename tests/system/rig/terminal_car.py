@@ -45,11 +45,11 @@ class TerminalCar(Robot):
         self.gate = gate
 
     def connect(self, *, seed: int | None = None) -> SerialConnection:
-        """Start the car and open a session; ``seed`` fixes its noise and what its faults hit. Raises `LinkLost`."""
+        """Start the car and open a session; ``seed`` fixes its noise. Raises `LinkLost`."""
         stream = UdpTracker(BODY, 0, clock="host").open()
         try:
             process = TerminalProcess(
-                tracker=stream.address, body=BODY, seed=seed, car=self.car, faults=self.faults, journal=self.journal
+                tracker=stream.address, seed=seed, car=self.car, faults=self.faults, journal=self.journal
             )
         except BaseException:
             stream.close()

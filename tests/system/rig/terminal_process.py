@@ -34,13 +34,12 @@ class TerminalProcess(Closeable):
         self,
         *,
         tracker: tuple[str, int] | None = None,
-        body: str = "car",
         seed: int | None = None,
         car: int | None = None,
         faults: Sequence[Fault] = (),
         journal: Path | None = None,
     ) -> None:
-        options: dict[str, object] = {"--body": body}
+        options: dict[str, object] = {}
         if tracker is not None:
             options["--tracker"] = f"{tracker[0]}:{tracker[1]}"
         options |= {"--seed": seed} if seed is not None else {}

@@ -1,29 +1,25 @@
-"""One direction of the serial line: bytes go in, and come out in order, some of them damaged."""
+"""One direction of the serial line: bytes go in, and come out in order."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
 
-import numpy as np
-
 from tests.system.rig.faults import FaultSchedule
 
 
 class Wire:
-    """Bytes under way from one end to the other. ``rng`` decides how they are damaged."""
+    """Bytes under way from one end to the other."""
 
-    def __init__(self, faults: FaultSchedule, rng: np.random.Generator) -> None:
+    def __init__(self, faults: FaultSchedule) -> None:
         self._faults = faults
-        self._rng = rng
         self._under_way: deque[tuple[float, int]] = deque()
 
     def push(self, data: bytes, now: float) -> None:
         """Send ``data`` at time ``now`` (s)."""
         for byte in data:
             due = max(now, self._faults.end("stall", now), self._under_way[-1][0] if self._under_way else now)
-            damage = int(self._rng.integers(1, 256)) if self._faults.active("flip", now) else 0
-            self._under_way.append((due, byte ^ damage))
+            self._under_way.append((due, byte))
 
     def pull(self, now: float) -> bytes:
         """Return the bytes that have arrived by ``now``."""

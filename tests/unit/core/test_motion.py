@@ -13,10 +13,12 @@ from sysid_evo.angles import rotate
 from sysid_evo.errors import IncompatibleSystem, InvalidSystem
 from sysid_evo.motion import CentralDifferences, PlanarBody, motion_from_dict
 from sysid_evo.registry import motions
+from sysid_evo.rigid_body import RigidBody
 from sysid_evo.system import Channel, System
 from tests.fixtures.motions import Clockwise, clockwise
 
 MIXED = ("temperature", "yaw_rate", "lateral_speed", "forward_speed")
+IN_SPACE = ("temperature", *reversed(RigidBody().roles().values()))
 NAMES = ("forward_speed", "lateral_speed", "yaw_rate")
 MOTIONS = {"planar": PlanarBody(), "without lateral": PlanarBody(lateral=None), "none": None}
 fixed = settings(derandomize=True, deadline=None, database=None)
@@ -162,19 +164,21 @@ def test_one_body_moves_to_the_last_bit_as_it_does_among_many(lateral, rng):
         np.testing.assert_array_equal(motion.move(pose, start, end, 0.05, NAMES), expected)
 
 
-@pytest.mark.parametrize("lateral", ["lateral_speed", None])
-def test_the_gradient_form_is_the_derivative_of_integrate_and_turning(lateral, rng):
-    motion = PlanarBody(lateral=lateral)
-    state, acceleration, gradient = rng.standard_normal((3, 12, len(MIXED)))
-    form, differences = motion.gradient_form(MIXED), CentralDifferences(motion, MIXED)
-    for found, expected in zip(
-        form.of_integrate(state, acceleration, 0.05, gradient),
-        differences.of_integrate(state, acceleration, 0.05, gradient),
-        strict=True,
-    ):
-        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7)
+@pytest.mark.parametrize(
+    ("motion", "names"),
+    [(PlanarBody(), MIXED), (PlanarBody(lateral=None), MIXED), (RigidBody(), IN_SPACE)],
+    ids=["planar", "without lateral", "rigid"],
+)
+def test_the_gradient_form_is_the_derivative_of_integrate_and_turning(motion, names, rng):
+    state, acceleration, gradient = 3.0 * rng.standard_normal((3, 12, len(names)))
+    state[0, [i for i, name in enumerate(names) if name.endswith("_rate")]] = 0.0
+    acceleration[0] = 0.0
+    form, differences = motion.gradient_form(names), CentralDifferences(motion, names)
+    given = state, acceleration, 0.3, gradient
+    for found, expected in zip(form.of_integrate(*given), differences.of_integrate(*given), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
     turned = form.of_frame_rotation(state, gradient), differences.of_frame_rotation(state, gradient)
-    np.testing.assert_allclose(*turned, rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(*turned, rtol=1e-6, atol=1e-6)
 
 
 def test_one_remark_says_that_a_motion_has_no_compiled_form(car, caplog):
@@ -210,10 +214,11 @@ def test_no_class_inherits_the_compiled_form_of_a_planar_body():
 
 
 def test_the_continuous_form_is_the_limit_of_the_sampled_one(car, rng):
-    state, dt = rng.standard_normal((6, 3)), 1e-7
-    for system in (car, clockwise(car)):
+    rigid = System(tuple(Channel(name) for name in IN_SPACE), (), 0.05, RigidBody())
+    for system in (car, clockwise(car), rigid):
+        state, dt = rng.standard_normal((6, system.nx)), 1e-7
         coasting = system.motion.integrate(state, np.zeros_like(state), dt, system.state_names)
-        np.testing.assert_allclose((coasting - state) / dt, system.frame_rotation(state), atol=1e-6)
+        np.testing.assert_allclose((coasting - state) / dt, system.frame_rotation(state), atol=1e-5)
 
 
 def test_a_pose_seen_from_another_is_where_a_body_there_would_put_it(car):

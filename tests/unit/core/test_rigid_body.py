@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sysid_evo.errors import InvalidSystem
-from sysid_evo.motion import CentralDifferences, motion_from_dict
+from sysid_evo.motion import motion_from_dict
 from sysid_evo.rigid_body import RigidBody
 from sysid_evo.system import Channel, System
 
@@ -52,12 +52,6 @@ def test_a_body_that_tumbles_while_it_coasts_has_no_acceleration_except_of_its_r
     np.testing.assert_allclose(found, expected, atol=1e-11)
 
 
-def test_the_sampled_form_has_the_continuous_one_as_its_limit(rng):
-    state, dt = rng.standard_normal((6, len(NAMES))), 1e-7
-    coasting = MIXED.with_dt(dt).integrate(state, np.zeros_like(state))
-    np.testing.assert_allclose((coasting - state) / dt, MIXED.frame_rotation(state), atol=1e-5)
-
-
 def test_a_constant_velocity_without_rates_is_a_straight_line():
     state, pose = state_of((1.0, -2.0, 0.5), (0.0, 0.0, 0.0)), IDENTITY[None]
     for _ in range(40):
@@ -94,22 +88,6 @@ def test_the_position_on_a_helix_is_second_order():
     coarse, fine = helix_error(0.05), helix_error(0.025)
     assert 1e-5 < coarse < 1e-3
     assert coarse / fine == pytest.approx(4.0, rel=0.02)
-
-
-def test_the_gradient_form_is_the_derivative_of_integrate_and_of_the_turning_frame(rng):
-    motion = RigidBody()
-    state, acceleration, gradient = 3.0 * rng.standard_normal((3, 12, len(NAMES)))
-    state[0, [NAMES.index(name) for name in ("roll_rate", "pitch_rate", "yaw_rate")]] = 0.0
-    acceleration[0] = 0.0
-    form, differences = motion.gradient_form(NAMES), CentralDifferences(motion, NAMES)
-    for found, expected in zip(
-        form.of_integrate(state, acceleration, 0.3, gradient),
-        differences.of_integrate(state, acceleration, 0.3, gradient),
-        strict=True,
-    ):
-        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
-    turned = form.of_frame_rotation(state, gradient), differences.of_frame_rotation(state, gradient)
-    np.testing.assert_allclose(*turned, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize(("frame", "sign"), [("ENU", 1.0), ("NED", -1.0)])

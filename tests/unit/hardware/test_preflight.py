@@ -10,7 +10,7 @@ from hardware.control_loop import SLOWEST
 from hardware.driving.hand_driving import HandDriving, HandPanel, check_driving_by_hand
 from hardware.driving.keyboard import Keyboard
 from hardware.driving.trials import RobotRunner
-from hardware.preflight import check_driving, check_recording, check_same_robot
+from hardware.preflight import check_driving, check_recording
 from hardware.recording.manoeuvres import Manoeuvre
 from hardware.recording.record import record_journals
 from hardware.robot import Robot, find_robot
@@ -146,14 +146,6 @@ def test_a_folder_without_permission_is_refused(car, tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(InvalidArgument, match="expected a folder that can be written"):
         check_recording(Parked(car), tmp_path / "journal", duration=60.0)
-
-
-def test_data_of_another_robot_are_refused_with_the_differences(car):
-    check_same_robot(replace(car, name="data"), Parked(car))
-    with pytest.raises(IncompatibleSystem) as raised:
-        check_same_robot(replace(car, dt=0.1, motion=None), Parked(car))
-    assert str(raised.value).startswith("the data are not of robot 'parked': 10 Hz against 20 Hz; motion none against")
-    assert "record this one" in str(raised.value)
 
 
 def test_a_robot_is_found_by_name_and_what_is_none_is_refused(register):

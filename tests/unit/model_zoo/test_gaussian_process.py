@@ -9,8 +9,6 @@ from model_zoo.gaussian_process import (
     quadratic_form,
     squared_exponential,
 )
-from sysid_evo.models.base import make_model
-from tests.fixtures.systems import AUTONOMOUS, DRIVEN
 
 
 def waves():
@@ -106,14 +104,3 @@ def test_a_gaussian_process_knows_less_far_from_its_data(car_data):
     unknown = model.predicted(np.full((1, 3), 30.0), np.ones((1, 2)))[1][0]
     assert (unknown > 1.5 * known).any()
     assert (unknown >= known).all()
-
-
-def test_a_gaussian_process_fits_linear_data_without_noise():
-    """Its covariance is singular in double precision."""
-    for system in (AUTONOMOUS, DRIVEN):
-        learned, fresh = system.recording(seed=1), system.recording(seed=2)
-        model = make_model("gaussian_process", inducing=40, state_lags=0, control_lags=0)
-        model.fit(learned, rng=0)
-        windows = fresh.windows(20, stride=10)
-        simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
-        assert np.abs(simulated - windows.states).max() < 0.01
