@@ -149,6 +149,9 @@ class _ElementWise(ast.NodeTransformer):
             value = ast.Call(ast.Name("_named", ast.Load()), [ast.Constant(node.targets[0].id), value], [])
         return ast.Assign([self.visit(target) for target in node.targets], value)
 
+    def visit_Return(self, node: ast.Return) -> ast.stmt:  # ast's own naming
+        return self.generic_visit(without_array(node))
+
     def visit_AugAssign(self, node: ast.AugAssign) -> ast.stmt:  # ast's own naming
         """Replace an augmented assignment by a new array, because others may refer to the old one."""
         return self.visit(_written_out(node))
@@ -172,6 +175,16 @@ def _written_out(node: ast.AugAssign) -> ast.Assign:
     """Return ``x = x + y`` for ``x += y``."""
     before = ast.parse(ast.unparse(node.target), mode="eval").body
     return ast.copy_location(ast.Assign([node.target], ast.BinOp(before, node.op, node.value)), node)
+
+
+def without_array(node: ast.Return) -> ast.Return:
+    """Return ``return a, b`` for ``return [a, b]`` and ``return np.array([a, b])``, else ``node`` itself."""
+    value = node.value
+    if isinstance(value, ast.Call) and isinstance(value.func, ast.Attribute) and len(value.args) == 1:
+        value = value.args[0] if value.func.attr in ("array", "asarray", "stack") else value
+    if isinstance(value, (ast.List, ast.Tuple)):
+        return ast.copy_location(ast.Return(ast.Tuple(value.elts, ast.Load())), node)
+    return node
 
 
 def _logical(name: str, *arguments: ast.expr) -> ast.expr:

@@ -9,15 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 
 from model_zoo.grey_box.parameters import HiddenState, Parameter, ParameterBounds
 from sysid_evo.carry import CarryLayout
+from sysid_evo.engine.compiled.compiler import compiled
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.kernels import DynamicsKernel, Signature
 from sysid_evo.laws import array_form
 from sysid_evo.models.dynamics import rk4
 from sysid_evo.models.kernels import Predictor, added, runge_kutta_predictor, stepping_kernel, turning_frame
@@ -49,6 +50,10 @@ class GreyBoxEquation:
     delay: int = 0
     substeps: int = 1
     known: tuple[tuple[int, int], ...] = ()
+    array_law: Callable[..., Any] | None = None
+    """The law for arrays that are broadcast; None for `array_form` of the law."""
+    discrete: bool = False
+    """Whether the law gives next states instead of rates."""
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -105,9 +110,18 @@ class GreyBoxEquation:
         positions = [position for position, _ in self.known]
         return tuple(row for row in self.law_rows if row not in positions)
 
+    def with_array_law(self, law: Callable[..., Any], *, discrete: bool) -> GreyBoxEquation:
+        """Return the structure whose law runs on arrays as ``law``, and gives next states if it is ``discrete``."""
+        return replace(self, array_law=law, discrete=discrete)
+
     def shorter(self, delay: float) -> GreyBoxEquation:
         """Return the structure with only the earlier controls needed for this delay."""
         return replace(self, delay=max(1, math.ceil(delay - 1e-9))) if self.delay else self
+
+    @property
+    def on_arrays(self) -> Callable[..., Any]:
+        """The law for tuples of arrays that are broadcast."""
+        return self.array_law or array_form(self.law)
 
     def check(self) -> None:
         """Raise `InvalidArgument` unless the law gives one finite rate for each state without a known rate."""
@@ -117,7 +131,7 @@ class GreyBoxEquation:
         name = getattr(self.law, "__qualname__", "rate")
         try:
             with np.errstate(all="ignore"):
-                found = array_form(self.law)(tuple(extended[:, None]), tuple(neutral[:, None]), tuple(guess))
+                found = self.on_arrays(tuple(extended[:, None]), tuple(neutral[:, None]), tuple(guess))
             values = [np.broadcast_to(np.asarray(value, dtype=float), (1,)) for value in found]
         except (TypeError, ValueError) as error:
             raise InvalidArgument(
@@ -142,10 +156,13 @@ class GreyBoxEquation:
         return np.asarray(sum(share * control[places] for share, control in zip(shares, controls, strict=True)))
 
     def rates(self, x: Array, commanded: Array, p: Array) -> Array:
-        """Return d/dt of the extended state ``x`` (n, ...) under delayed commands (n_controls, ...)."""
+        """Return d/dt of the extended state ``x`` (n, ...) under delayed commands (n_controls, ...).
+
+        In place of the rates of a ``discrete`` law there are its next states, without the rotation of the frame.
+        """
         found = np.zeros_like(x)
         control = x[self.actuator_rows] if self.lagged else commanded
-        rates = array_form(self.law)(tuple(x[i] for i in self.law_rows), tuple(control), tuple(p[: len(self.own)]))
+        rates = self.on_arrays(tuple(x[i] for i in self.law_rows), tuple(control), tuple(p[: len(self.own)]))
         for row, rate in zip(self.rate_rows, rates, strict=True):
             found[row] = rate
         for position, speed in self.known:
@@ -153,7 +170,7 @@ class GreyBoxEquation:
         if self.lagged:
             lags = p[len(self.own) : len(self.own) + len(self.controls)]
             found[self.actuator_rows] = (commanded - control) / lags
-        if self.system.motion is not None:
+        if self.system.motion is not None and not self.discrete:
             found += np.moveaxis(self.extended.frame_rotation(np.moveaxis(x, 0, -1)), -1, 0)
         return found
 
@@ -175,8 +192,8 @@ class GreyBoxEquation:
                 found[: self.system.nx] += extra(x)
             return found
 
-        after = carry[:nx]
-        for _ in range(self.substeps):
+        after = rate(carry[:nx]) if self.discrete else carry[:nx]
+        for _ in range(0 if self.discrete else self.substeps):
             after = rk4(rate, after, self.system.dt / self.substeps)
         if self.extended.limited:
             low, high = (side.reshape(-1, *[1] * (after.ndim - 1)) for side in self.extended.limits)
@@ -279,7 +296,7 @@ def propagate_hidden(structure: GreyBoxEquation, p: Array, states: Array, contro
 def structure_kernel(
     structure: GreyBoxEquation, p: Array, *, dead_band_size: Array | None = None, extra: Predictor | None = None
 ) -> DynamicsKernel | None:
-    """Return the kernel of a structure with parameters (n,); None if the motion has no compiled form.
+    """Return the kernel of a structure with parameters (n,); None if the motion or an array law has no compiled form.
 
     With ``dead_band_size`` (n,), an extended state at rest stays there; ``extra`` is added to the rates of measured
     states.
@@ -298,12 +315,31 @@ def structure_kernel(
         structure.delay,
     )
     p = check_shape("parameters", p, (len(structure.parameters),))
-    own = Predictor(law, kernel_parameters(structure, p[None])[0], 0)
-    rate = turning_frame(own if extra is None else added(own, extra, structure.system.nx), system)
-    if rate is None:
+    if structure.array_law is not None and not_compilable(law):
         return None
-    after = runge_kutta_predictor(rate, system, substeps=structure.substeps, n_carry=structure.layout.size)
+    own = Predictor(law, kernel_parameters(structure, p[None])[0], 0)
+    own = own if extra is None else added(own, extra, structure.system.nx)
+    if structure.discrete:
+        after = own
+    elif (rate := turning_frame(own, system)) is None:
+        return None
+    else:
+        after = runge_kutta_predictor(rate, system, substeps=structure.substeps, n_carry=structure.layout.size)
     return stepping_kernel(after, system, output="next_state", lags=(0, structure.delay), dead_band_size=dead_band_size)
+
+
+@cache
+def not_compilable(law: LawOverLanes) -> str:
+    """Return why a function written for NumPy has no compiled form; empty if it has one."""
+    try:
+        compiled(law, Signature.of(_predict), "float64")
+    except Exception as error:  # Numba raises many kinds
+        return next(iter(str(error).strip().splitlines()), type(error).__name__)
+    return ""
+
+
+def _predict(x: Array, u: Array, p: Array, y: Array, scratch: Array) -> None:
+    """Have the arguments of a predictor."""
 
 
 def kernel_parameters(structure: GreyBoxEquation, p: Array) -> Array:

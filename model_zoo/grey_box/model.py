@@ -156,6 +156,9 @@ class GreyBox(DynamicsModel):
             positions_of(self, "control", self.controls, system.control_names),
         )
 
+    def prepare(self, dataset: Dataset) -> None:
+        """Look at the data before anything is fitted; does nothing by default."""
+
     def check_parameters(self) -> None:
         super().check_parameters()
         known = [parameter.name for parameter in self.law_parameters()]
@@ -197,7 +200,7 @@ class GreyBox(DynamicsModel):
     def integrated(self) -> GreyBoxEquation:
         """The integrated structure, with only the earlier controls that the fitted delay needs."""
         found = self._structure_on(self.system)
-        return found.shorter(float(self.parameters_[-1])) if hasattr(self, "parameters_") else found
+        return found.shorter(float(self.parameters_[-1])) if len(getattr(self, "parameters_", ())) else found
 
     def _with_priors(self, structure: GreyBoxEquation, dataset: Dataset) -> GreyBoxEquation:
         """Return the structure with guesses and priors from the manoeuvres of ``dataset``, if there are any."""
@@ -211,7 +214,11 @@ class GreyBox(DynamicsModel):
         return replace(structure, own=own)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        self.prepare(dataset)
         structure = self._with_priors(self._structure_on(dataset.system), dataset)
+        if not structure.parameters:
+            self.determined_, self.parameters_, self.covariance_ = [], np.empty(0), np.empty((0, 0))
+            return self
         total = SCREENED + self.starts * FIRST_EVALUATIONS * 2 + FINAL_STARTS * LAST_EVALUATIONS * 2
         counter = Counter(progress, total)
 

@@ -5,7 +5,7 @@ of the kernel (one float64 literal in float32 code would make the whole expressi
 replaced by vectorisable functions. The file name is a hash of its text and of the versions it depends on, see
 `sysid_evo.engine.compiled.compiler`.
 
-A kernel function may use arguments and local names, numbers, ``math``, other such functions (also those decorated with
+A kernel function may use arguments and local names, numbers, ``math``, NumPy's functions of numbers, other such functions (also those decorated with
 ``numba.njit``), module-level numbers, the words of `sysid_evo.kernels`, and the places of a `Layout` of the module. A
 loop may also use the names within its own arguments. Write literals of real arithmetic with a point (``2.0``).
 """
@@ -14,17 +14,24 @@ from __future__ import annotations
 
 import ast
 import inspect
+import math
 import numbers
 import textwrap
 from collections.abc import Mapping
 from types import FunctionType, ModuleType
 from typing import Any
 
+import numpy as np
+
 from sysid_evo.engine.compiled import elementary
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import LANES, WORDS, KernelSource, Layout, Precision, Signature, Source
-from sysid_evo.laws import ScalarLaw, lane_form
+from sysid_evo.laws import RENAMED, ScalarLaw, lane_form, without_array
 
+OF_NUMPY = {getattr(np, RENAMED.get(name, name)): function for name, function in vars(math).items()
+            if isinstance(getattr(np, RENAMED.get(name, name), None), np.ufunc)}  # fmt: skip
+"""The functions of `math` in place of NumPy's."""
+BUILTINS_OF_NUMPY = {np.absolute: "abs", np.minimum: "min", np.maximum: "max"}
 BUILTINS = {"abs", "min", "max", "range", "int", "float", "True", "False"}
 REAL = "_real"
 FASTMATH = "{'contract', 'arcp', 'nsz'}"
@@ -90,6 +97,7 @@ class _ModuleWriter:
         tree = _parse(plain_function(source.function))
         name = "entry" if entry else self.fresh(tree.name)
         tree.name, tree.decorator_list, tree.returns = name, [], None
+        tree.args.defaults = [one if isinstance(one, ast.Constant) else ast.Constant(None) for one in tree.args.defaults]
         if tree.body and isinstance(tree.body[0], ast.Expr) and isinstance(tree.body[0].value, ast.Constant):
             tree.body = tree.body[1:]
         if isinstance(source, ScalarLaw):
@@ -161,6 +169,9 @@ class _Specialise(ast.NodeTransformer):
             node.args = [ast.Call(ast.Name("address", ast.Load()), [argument], []) for argument in node.args]
         return called
 
+    def visit_Return(self, node: ast.Return) -> ast.AST:  # ast's own naming
+        return self.generic_visit(without_array(node))
+
     def visit_Constant(self, node: ast.Constant) -> ast.expr:  # ast's own naming
         return _real(node.value) if isinstance(node.value, float) else node
 
@@ -197,6 +208,9 @@ class _Specialise(ast.NodeTransformer):
             raise self._unusable(text, f"a {type(value).__name__} is not a number; pass its values as parameters")
         if value in WORDS:
             return ast.Name(WORDS[value], ast.Load())
+        if value in BUILTINS_OF_NUMPY:
+            return ast.Name(BUILTINS_OF_NUMPY[value], ast.Load())
+        value = OF_NUMPY.get(value, value)
         if self.writer.precision == "float32" and value in elementary.FLOAT32:
             return self._named(KernelSource(elementary.FLOAT32[value]))
         if getattr(value, "__module__", "") == "math":
