@@ -52,6 +52,8 @@ class GreyBoxEquation:
     known: tuple[tuple[int, int], ...] = ()
     array_law: Callable[..., Any] | None = None
     """The law for arrays that are broadcast; None for `array_form` of the law."""
+    own_frame: bool = False
+    """Whether the law includes the rotation of the frame, which is otherwise added."""
     discrete: bool = False
     """Whether the law gives next states instead of rates."""
 
@@ -110,10 +112,6 @@ class GreyBoxEquation:
         positions = [position for position, _ in self.known]
         return tuple(row for row in self.law_rows if row not in positions)
 
-    def with_array_law(self, law: Callable[..., Any], *, discrete: bool) -> GreyBoxEquation:
-        """Return the structure whose law runs on arrays as ``law``, and gives next states if it is ``discrete``."""
-        return replace(self, array_law=law, discrete=discrete)
-
     def shorter(self, delay: float) -> GreyBoxEquation:
         """Return the structure with only the earlier controls needed for this delay."""
         return replace(self, delay=max(1, math.ceil(delay - 1e-9))) if self.delay else self
@@ -158,7 +156,7 @@ class GreyBoxEquation:
     def rates(self, x: Array, commanded: Array, p: Array) -> Array:
         """Return d/dt of the extended state ``x`` (n, ...) under delayed commands (n_controls, ...).
 
-        In place of the rates of a ``discrete`` law there are its next states, without the rotation of the frame.
+        In place of the rates of a ``discrete`` law there are its next states.
         """
         found = np.zeros_like(x)
         control = x[self.actuator_rows] if self.lagged else commanded
@@ -170,7 +168,7 @@ class GreyBoxEquation:
         if self.lagged:
             lags = p[len(self.own) : len(self.own) + len(self.controls)]
             found[self.actuator_rows] = (commanded - control) / lags
-        if self.system.motion is not None and not self.discrete:
+        if self.system.motion is not None and not self.own_frame:
             found += np.moveaxis(self.extended.frame_rotation(np.moveaxis(x, 0, -1)), -1, 0)
         return found
 
@@ -319,12 +317,11 @@ def structure_kernel(
         return None
     own = Predictor(law, kernel_parameters(structure, p[None])[0], 0)
     own = own if extra is None else added(own, extra, structure.system.nx)
-    if structure.discrete:
-        after = own
-    elif (rate := turning_frame(own, system)) is None:
+    if not structure.own_frame and (turning := turning_frame(own, system)) is None:
         return None
-    else:
-        after = runge_kutta_predictor(rate, system, substeps=structure.substeps, n_carry=structure.layout.size)
+    after = own if structure.own_frame else turning
+    if not structure.discrete:
+        after = runge_kutta_predictor(after, system, substeps=structure.substeps, n_carry=structure.layout.size)
     return stepping_kernel(after, system, output="next_state", lags=(0, structure.delay), dead_band_size=dead_band_size)
 
 

@@ -1,22 +1,28 @@
-"""A function of NumPy as a family: rates or next states, with or without unknown parameters."""
+"""Family equations: a function of the user, of rates or next states, with or without unknown parameters."""
 
 from __future__ import annotations
 
 import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
-from typing import Any, ClassVar, Literal, Self
+from types import FunctionType
+from typing import Any, Literal
 
 import numpy as np
 
 from model_zoo.grey_box.equation import GreyBoxEquation
 from model_zoo.grey_box.model import GreyBox
 from model_zoo.grey_box.parameters import DECADE, Parameter
+from model_zoo.scaling import positive
+from sysid_evo import register_model
 from sysid_evo.data import Dataset
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import InvalidArgument, ShapeError
 from sysid_evo.laws import array_form
 from sysid_evo.models.learned import Declared
+from sysid_evo.registry.objects import class_name, kept_object
+from sysid_evo.registry.plugins import named_in_plugin
 from sysid_evo.system import System
 from sysid_evo.types import Array
 
@@ -30,96 +36,95 @@ CLEAR = 1.25
 """How many times the error of one meaning must be that of the other if the data are to choose between them."""
 
 
-class FunctionModel(GreyBox):
-    """Equations of your own, f(x, u) or f(x, u, p): rates of the states or next states, of NumPy or plain numbers.
+@register_model("equations")
+class Equations(GreyBox):
+    """Equations of your own: a function f(x, u) or f(x, u, p) of NumPy that returns rates or next states.
 
-    x and u are states and controls in the order of the system. f may be written for one sample, x (nx,), which often
-    holds for x (nx, N) as well, or for rows, x (N, nx). `fit` finds out which by calling it, and checks the result
-    against single calls. ``returns`` is ``rate`` or ``next_state``; None chooses by the error of one step, and raises
-    `InvalidArgument` if the two errors are close. Rates are integrated by the Runge-Kutta method with controls held, in
-    ``substeps``.
+    ``function`` is the function, or the name of one in a plugin file (``FILE.NAME`` if several files have it). x and u
+    are states and controls in the order of the system. The function may be written for one sample, x (nx,), which often
+    holds for x (nx, N) too, or for rows, x (N, nx): `fit` calls it to find out, and compares with single calls.
+    ``returns`` is ``rate`` or ``next_state``; None chooses by the error of one step, and raises `InvalidArgument` if
+    the two errors are close. Rates are integrated by the Runge-Kutta method with controls held, in ``substeps``; the
+    rotation of a body frame is not added.
 
     The default of ``p`` gives bounds: ``{"name": (low, high)}`` or ``(low, guess, high)``, or a list of `Parameter`.
-    Parameters are fitted as in any grey box. Without ``p`` nothing is fitted.
+    These parameters are fitted as in any grey box. Without ``p`` nothing is fitted. A function that kernels can read
+    (docs/extending/kernels.md) is compiled; others run in NumPy.
     """
 
-    function: ClassVar[Callable[..., Any]]
-    limits: ClassVar = {}
+    plugin_parameters = ("function",)
+
+    function: Any = None
     returns: Literal["rate", "next_state"] | None = None
 
-    def check_parameters(self) -> None:
-        super().check_parameters()
-        if self.returns == "next_state" and (self.actuator_lag or self.residual):
-            raise InvalidArgument(f"{type(self).__name__}: actuator_lag and residual need rates, not next states")
+    @property
+    def called(self) -> Callable[..., Any]:
+        """The function. Raises `InvalidArgument` if there is none, or if it has another signature."""
+        found = kept_object(self.function)
+        found = named_in_plugin(found, FunctionType) if isinstance(found, str) else found
+        if not callable(found):
+            raise InvalidArgument(f"equations: expected a function or the name of one in a plugin file. {EXAMPLE}")
+        arguments = list(inspect.signature(found).parameters.values())
+        needed = [one for one in arguments if one.default is one.empty]
+        if len(arguments) not in (2, 3) or len(needed) != 2:
+            given = f"{class_name(found)}{inspect.signature(found)}"
+            raise InvalidArgument(
+                f"equations: expected f(x, u), or f(x, u, p) with bounds as the default of p; got {given}. {EXAMPLE}"
+            )
+        return found
 
     @property
     def law(self) -> Callable[..., Any]:
-        return type(self).function if self.parameters else _without_parameters(type(self).function)
+        function = self.called
+        return function if self.law_parameters() else _without_parameters(function)
+
+    def law_parameters(self) -> tuple[Parameter, ...]:
+        arguments = list(inspect.signature(self.called).parameters.values())
+        return _parameters(arguments[2].default) if len(arguments) == 3 else ()
+
+    def check_parameters(self) -> None:
+        if self.random_effects:
+            super().check_parameters()
+        if self.returns == "next_state":
+            self._check_rates()
+
+    def _check_rates(self) -> None:
+        if self.actuator_lag or self.residual:
+            raise InvalidArgument("equations: actuator_lag and residual need a function that returns rates")
 
     def check_system(self, system: System) -> None:
         """Accept any system: `prepare` calls the function with recorded states."""
 
     def prepare(self, dataset: Dataset) -> None:
-        data, system = dataset.transitions(), dataset.system
+        data, system, function = dataset.transitions(), dataset.system, self.called
         rows = np.unique(np.linspace(0, len(data.state) - 1, TRIED).astype(np.int64))
         x, u, after = data.state[rows], data.control[rows], data.after[rows]
-        p = np.array([parameter.guess for parameter in self.parameters])
-        name, own = type(self).__name__, type(self).function
+        p = np.array([parameter.guess for parameter in self.law_parameters()])
         try:
-            found = np.stack([_of_one(own, x[i], u[i], p) for i in range(len(x))])
-            forms = ("columns", "rows")
+            found = np.stack([_of_one(function, x[i], u[i], p) for i in range(len(x))])
+            forms = FORMS[:2]
         except (TypeError, ValueError, IndexError) as error:
-            found, forms = self._of_rows(x, u, p, error), ("rows",)
+            found, forms = _of_rows(function, x, u, p, error), FORMS[1:2]
         if not np.isfinite(found).all():
-            raise InvalidArgument(f"{name}: expected finite numbers at the recorded states, got {found[0]}")
-        self.form_ = next((one for one in forms if self._equals(one, x, u, p, found)), "single")
-        errors = {
-            "rate": float(np.abs(system.difference(x + system.dt * found, after) / self._scale(data.state)).mean()),
-            "next_state": float(np.abs(system.difference(found, after) / self._scale(data.state)).mean()),
-        }
+            raise InvalidArgument(f"equations: expected finite numbers at the recorded states, got {found[0]}")
+        self.form_ = next((one for one in forms if _equals(function, one, x, u, p, found)), "single")
+        spread = positive(data.state.std(axis=0))
+        reached = {"rate": x + system.dt * found, "next_state": found}
+        errors = {name: float(np.abs(system.difference(y, after) / spread).mean()) for name, y in reached.items()}
         likely, other = sorted(errors, key=lambda one: errors[one])
         if self.returns is None and errors[other] < CLEAR * errors[likely]:
             raise InvalidArgument(
-                f"{name}: the data do not show whether it returns rates or next states (errors of one step "
-                f"{errors['rate']:.3g} and {errors['next_state']:.3g} standard deviations): add returns='rate' or "
-                "returns='next_state'"
+                f"equations: the data do not show whether {class_name(function)} returns rates or next states (errors "
+                f"of one step {errors['rate']:.3g} and {errors['next_state']:.3g} standard deviations): add "
+                "returns='rate' or returns='next_state'"
             )
         self.returned_ = self.returns or likely
-        if self.returned_ == "next_state" and (self.actuator_lag or self.residual):
-            raise InvalidArgument(f"{name}: actuator_lag and residual need rates, but it returns next states")
-
-    @staticmethod
-    def _scale(states: Array) -> Array:
-        spread = states.std(axis=0)
-        return np.where(spread > 0.0, spread, 1.0)
-
-    def _of_rows(self, x: Array, u: Array, p: Array, error: Exception) -> Array:
-        """Return the results (N, nx) of a function that takes rows only. Raises `InvalidArgument`."""
-        try:
-            found = np.asarray(_called(type(self).function, x, u, p), dtype=np.float64)
-            if found.shape == x.shape:
-                return found
-            error = ValueError(f"a result of shape {found.shape} for x of shape {x.shape}")
-        except (TypeError, ValueError, IndexError):
-            pass
-        raise InvalidArgument(
-            f"{type(self).__name__}: expected a function of x ({x.shape[1]},) and u ({u.shape[1]},)"
-            f"{f' and p ({len(p)},)' if len(p) else ''} that returns {x.shape[1]} numbers; got {type(error).__name__}: "
-            f"{error}. For example\n{EXAMPLE}"
-        ) from error
-
-    def _equals(self, form: str, x: Array, u: Array, p: Array, found: Array) -> bool:
-        """Whether the function in ``form`` gives ``found`` (N, nx)."""
-        try:
-            with np.errstate(all="ignore"):
-                tried = np.stack(_on_arrays(type(self).function, form)(tuple(x.T), tuple(u.T), tuple(p[:, None])), axis=1)
-        except Exception:  # a function may fail in any way on arrays for which it was not written
-            return False
-        return tried.shape == found.shape and np.allclose(tried, found, rtol=1e-9, atol=1e-12)
+        if self.returned_ == "next_state":
+            self._check_rates()
 
     @cached_property
     def _array_law(self) -> Callable[..., Any]:
-        return _on_arrays(type(self).function, self.form_)
+        return _on_arrays(self.called, self.form_)
 
     def _structure_on(
         self, system: System, states: tuple[int, ...] | None = None, controls: tuple[int, ...] | None = None
@@ -127,48 +132,26 @@ class FunctionModel(GreyBox):
         found = super()._structure_on(system, states, controls)
         if not hasattr(self, "returned_"):
             return found
-        return found.with_array_law(self._array_law, discrete=self.returned_ == "next_state")
+        return replace(found, array_law=self._array_law, own_frame=True, discrete=self.returned_ == "next_state")
 
     def learned_arrays(self) -> Mapping[str, Declared]:
         for name, allowed in (("form_", FORMS), ("returned_", ("rate", "next_state"))):
             if getattr(self, name, None) not in allowed:
-                raise InvalidArgument(f"{name}: expected one of {', '.join(allowed)}, got {getattr(self, name, None)!r}")
+                raise ShapeError(f"{name}: expected one of {', '.join(allowed)}, got {getattr(self, name, None)!r}")
         return super().learned_arrays()
 
     @property
     def fit_note(self) -> str:
-        kernel = self.kernel()
-        slow = "runs in NumPy, because it has no compiled form" if kernel is None else ""
-        each = "; called for one sample at a time" if self.form_ == "single" else ""
-        return "; ".join(filter(None, (super().fit_note, slow + each)))
+        slow = "" if self.kernel() is not None else "runs in NumPy, because it has no compiled form"
+        if slow and self.form_ == "single":
+            slow += ", one sample at a time: write a if test else b instead of if"
+        return "; ".join(filter(None, (super().fit_note, slow)))
 
 
 FORMS = ("columns", "rows", "single")
 
 
-def family_of_function(function: Callable[..., Any], name: str = "") -> type[FunctionModel]:
-    """Return the family of ``function``, f(x, u) or f(x, u, p). Raises `InvalidArgument` for another signature."""
-    name = name or function.__name__
-    arguments = list(inspect.signature(function).parameters.values())
-    needed = [one for one in arguments if one.default is one.empty]
-    if len(arguments) not in (2, 3) or len(needed) != 2:
-        given = f"{function.__name__}{inspect.signature(function)}"
-        raise InvalidArgument(f"expected f(x, u), or f(x, u, p) with bounds as the default of p; got {given}. {EXAMPLE}")
-    parameters = _parameters(name, arguments[2].default) if len(arguments) == 3 else ()
-    return type(
-        name,
-        (FunctionModel,),
-        {
-            "__module__": function.__module__,
-            "__qualname__": name,
-            "__doc__": inspect.getdoc(function) or f"Equations of the function {function.__name__}.",
-            "function": staticmethod(function),
-            "parameters": parameters,
-        },
-    )
-
-
-def _parameters(name: str, given: Any) -> tuple[Parameter, ...]:
+def _parameters(given: Any) -> tuple[Parameter, ...]:
     """Return the parameters that the default of p describes."""
     items = list(given.items()) if isinstance(given, Mapping) else [
         (one.name if isinstance(one, Parameter) else f"p{i}", one) for i, one in enumerate(given or ())
@@ -183,9 +166,9 @@ def _parameters(name: str, given: Any) -> tuple[Parameter, ...]:
             middle = math.sqrt(low * high) if logarithmic else 0.5 * (low + high)
             found.append(Parameter(str(own), float(bounds[1]) if len(bounds) == 3 else middle, low, high))
         else:
-            raise InvalidArgument(f"{name}: {own}: expected (low, high) or (low, guess, high), got {bounds!r}. {EXAMPLE}")
+            raise InvalidArgument(f"equations: {own}: expected (low, high) or (low, guess, high), got {bounds!r}. {EXAMPLE}")
     if not found:
-        raise InvalidArgument(f"{name}: the default of p has no parameters: leave p out, or write {EXAMPLE}")
+        raise InvalidArgument(f"equations: the default of p has no parameters: leave p out, or write {EXAMPLE}")
     return tuple(found)
 
 
@@ -206,6 +189,32 @@ def _of_one(function: Callable[..., Any], x: Array, u: Array, p: Array) -> Array
     if found.shape != x.shape:
         raise ValueError(f"{len(found)} numbers for {len(x)} states")
     return found
+
+
+def _of_rows(function: Callable[..., Any], x: Array, u: Array, p: Array, error: Exception) -> Array:
+    """Return the results (N, nx) of a function that takes rows only. Raises `InvalidArgument` with ``error``."""
+    try:
+        found = np.asarray(_called(function, x, u, p), dtype=np.float64)
+        if found.shape == x.shape:
+            return found
+        error = ValueError(f"a result of shape {found.shape} for x of shape {x.shape}")
+    except (TypeError, ValueError, IndexError):  # the error of a single sample says more
+        pass
+    raise InvalidArgument(
+        f"equations: expected a function of x ({x.shape[1]},) and u ({u.shape[1]},)"
+        f"{f' and p ({len(p)},)' if len(p) else ''} that returns {x.shape[1]} numbers; got {type(error).__name__}: "
+        f"{error}. For example\n{EXAMPLE}"
+    ) from error
+
+
+def _equals(function: Callable[..., Any], form: str, x: Array, u: Array, p: Array, found: Array) -> bool:
+    """Whether the function in ``form`` gives ``found`` (N, nx)."""
+    try:
+        with np.errstate(all="ignore"):
+            tried = np.stack(_on_arrays(function, form)(tuple(x.T), tuple(u.T), tuple(p[:, None])), axis=1)
+    except Exception:  # a function may fail in any way on arrays for which it was not written
+        return False
+    return np.allclose(tried, found, rtol=1e-9, atol=1e-12)
 
 
 def _on_arrays(function: Callable[..., Any], form: str) -> Callable[..., Any]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import combinations, combinations_with_replacement
@@ -185,7 +185,11 @@ class Basis:
 @lru_cache(maxsize=256)
 def basis_of(text: str, features: Features) -> Basis:
     """Return the terms of the library ``text`` over ``features``."""
-    terms = read_library(text).terms.terms(features)
+    return basis_of_terms(read_library(text).terms.terms(features), features)
+
+
+def basis_of_terms(terms: Sequence[Term], features: Features) -> Basis:
+    """Return ``terms`` over ``features`` as exponents."""
     further = {name: ChannelFunction.read(name) for term in terms for name in term if name not in features.names}
     functions = [function for function in further.values() if function is not None]
     place = {name: i for i, name in enumerate([*features.names, *further])}

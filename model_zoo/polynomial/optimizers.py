@@ -5,7 +5,8 @@ from __future__ import annotations
 import importlib
 import inspect
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -96,17 +97,25 @@ def counts_rows(text: str) -> bool:
     return spec.name in ROWS_COUNT or bool(spec.parameters.get("trimming_fraction"))
 
 
-def run(optimizer: Any, terms: Array, targets: Array, seed: int) -> Array:
-    """Return the result of pysindy's ``optimizer``, (T, nx); it uses NumPy's global generator, which is seeded here."""
-    before = np.random.get_state()  # noqa: NPY002  # pysindy has no other generator
+@contextmanager
+def seeded(seed: int) -> Iterator[None]:
+    """Seed NumPy's global generator, since pysindy has no other, and restore it afterwards; ignore warnings."""
+    before = np.random.get_state()  # noqa: NPY002
     np.random.seed(seed)  # noqa: NPY002
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # an empty equation is a valid result
+            yield
+    finally:
+        np.random.set_state(before)  # noqa: NPY002
+
+
+def run(optimizer: Any, terms: Array, targets: Array, seed: int) -> Array:
+    """Return the result of pysindy's ``optimizer``, (T, nx)."""
+    try:
+        with seeded(seed):
             optimizer.fit(terms, targets)
     except (ValueError, np.linalg.LinAlgError) as error:
         raise InvalidArgument(f"optimizer: {type(optimizer).__name__} fails on these terms: {error}") from error
-    finally:
-        np.random.set_state(before)  # noqa: NPY002
     found = np.asarray(optimizer.coef_, dtype=np.float64).T
     return np.where(np.abs(found) > NEGLIGIBLE, found, 0.0)

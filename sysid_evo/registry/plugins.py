@@ -21,7 +21,7 @@ from pathlib import Path
 from types import CodeType
 from typing import Any
 
-from sysid_evo.errors import PluginError, PluginWarning, RegistrationError
+from sysid_evo.errors import InvalidArgument, PluginError, PluginWarning, RegistrationError
 from sysid_evo.files import state_folder, write_atomically
 
 SHIPPED = ("sysid_evo", "model_zoo", "evaluation", "hardware")
@@ -77,6 +77,29 @@ def load_named_plugins(paths: Iterable[str | Path], by: Path) -> tuple[str, ...]
 def loaded_plugins() -> tuple[str, ...]:
     """Return the plugin files that this process has loaded, in this order."""
     return tuple(str(module.__file__) for name, module in sys.modules.items() if name.startswith(PREFIX))
+
+
+def named_in_plugin(text: str, kind: type) -> Any:
+    """Return the function or class called ``text`` of the loaded plugin files, of type ``kind``.
+
+    ``FILE.NAME`` chooses a file. Only the files' own definitions are found. Raises `InvalidArgument`.
+    """
+    file, _, name = text.rpartition(".")
+    found = {
+        path.stem: thing
+        for module in list(sys.modules.values())
+        if module.__name__.startswith(PREFIX)
+        and (path := Path(str(module.__file__))).stem in (file or path.stem,)
+        and isinstance(thing := vars(module).get(name), kind)
+        and getattr(thing, "__module__", "") == module.__name__
+    }
+    if len(found) != 1:
+        several = f"in several: write {' or '.join(f'{stem}.{name}' for stem in sorted(found))}" if found else "in none"
+        raise InvalidArgument(
+            f"expected the name of a {kind.__name__} in a plugin file that is loaded, got {text!r}, which is {several}; "
+            "add --plugin FILE (in Python load_plugin)"
+        )
+    return next(iter(found.values()))
 
 
 def load_plugins_again(paths: Iterable[str]) -> None:
