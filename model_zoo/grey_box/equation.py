@@ -22,6 +22,7 @@ from sysid_evo.kernels import DynamicsKernel, Signature
 from sysid_evo.laws import array_form
 from sysid_evo.models.dynamics import rk4
 from sysid_evo.models.kernels import Predictor, added, runge_kutta_predictor, stepping_kernel, turning_frame
+from sysid_evo.processors import resolve
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array, check_shape
 
@@ -313,7 +314,7 @@ def structure_kernel(
         structure.delay,
     )
     p = check_shape("parameters", p, (len(structure.parameters),))
-    if structure.array_law is not None and not_compilable(law):
+    if structure.array_law is not None and resolve() != "reference" and not_compilable(law):
         return None
     own = Predictor(law, kernel_parameters(structure, p[None])[0], 0)
     own = own if extra is None else added(own, extra, structure.system.nx)

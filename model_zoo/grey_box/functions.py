@@ -18,7 +18,7 @@ from model_zoo.grey_box.parameters import DECADE, Parameter
 from model_zoo.scaling import positive
 from sysid_evo import register_model
 from sysid_evo.data import Dataset
-from sysid_evo.errors import InvalidArgument, ShapeError
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, PluginError, ShapeError
 from sysid_evo.laws import array_form
 from sysid_evo.models.learned import Declared
 from sysid_evo.registry.objects import class_name, kept_object
@@ -93,7 +93,14 @@ class Equations(GreyBox):
             raise InvalidArgument("equations: actuator_lag and residual need a function that returns rates")
 
     def check_system(self, system: System) -> None:
-        """Accept any system: `prepare` calls the function with recorded states."""
+        """Call the function at the neutral state. Raises `IncompatibleSystem` if it returns another number of states."""
+        p = np.array([parameter.guess for parameter in self.law_parameters()])
+        x, u = system.neutral_state, system.neutral_control
+        try:
+            with np.errstate(all="ignore"):
+                _of_one(self.called, x, u, p)
+        except (TypeError, ValueError, IndexError) as error:
+            _of_rows(self.called, np.stack([x, x, x]), np.stack([u, u, u]), p, error)
 
     def prepare(self, dataset: Dataset) -> None:
         data, system, function = dataset.transitions(), dataset.system, self.called
@@ -138,7 +145,10 @@ class Equations(GreyBox):
         for name, allowed in (("form_", FORMS), ("returned_", ("rate", "next_state"))):
             if getattr(self, name, None) not in allowed:
                 raise ShapeError(f"{name}: expected one of {', '.join(allowed)}, got {getattr(self, name, None)!r}")
-        return super().learned_arrays()
+        try:
+            return super().learned_arrays()
+        except InvalidArgument as error:  # the function is not in this process
+            raise PluginError(str(error)) from error
 
     @property
     def fit_note(self) -> str:
@@ -192,15 +202,16 @@ def _of_one(function: Callable[..., Any], x: Array, u: Array, p: Array) -> Array
 
 
 def _of_rows(function: Callable[..., Any], x: Array, u: Array, p: Array, error: Exception) -> Array:
-    """Return the results (N, nx) of a function that takes rows only. Raises `InvalidArgument` with ``error``."""
+    """Return the results (N, nx) of a function that takes rows only. Raises `IncompatibleSystem` with ``error``."""
     try:
         found = np.asarray(_called(function, x, u, p), dtype=np.float64)
         if found.shape == x.shape:
             return found
-        error = ValueError(f"a result of shape {found.shape} for x of shape {x.shape}")
+        if isinstance(error, IndexError):
+            error = ValueError(f"a result of shape {found.shape} for x of shape {x.shape}")
     except (TypeError, ValueError, IndexError):  # the error of a single sample says more
         pass
-    raise InvalidArgument(
+    raise IncompatibleSystem(
         f"equations: expected a function of x ({x.shape[1]},) and u ({u.shape[1]},)"
         f"{f' and p ({len(p)},)' if len(p) else ''} that returns {x.shape[1]} numbers; got {type(error).__name__}: "
         f"{error}. For example\n{EXAMPLE}"

@@ -14,11 +14,10 @@ import numpy as np
 
 from model_zoo.features import FUNCTIONS, ChannelFunction, Features
 from model_zoo.polynomial.libraries import Basis, Fourier, InputSelection, Polynomial, Term, basis_of_terms
-from model_zoo.polynomial.model import MAX_EXPONENT, evaluate
+from model_zoo.polynomial.model import MAX_EXPONENT, equation, evaluate
 from model_zoo.polynomial.optimizers import seeded
-from sysid_evo import Adapter, Dataset, DynamicsModel, register_adapter, register_model
-from sysid_evo.errors import InvalidArgument
-from sysid_evo.models import bases_of
+from sysid_evo import Dataset, DynamicsModel, register_model
+from sysid_evo.errors import InvalidArgument, PluginError
 from sysid_evo.models.dynamics import rk4
 from sysid_evo.models.kernels import Predictor, polynomial_predictor, runge_kutta_predictor
 from sysid_evo.models.kernels.shells import SeenRow, of_functions
@@ -55,12 +54,15 @@ class PySindy(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    fast_fit = True
     requires = ("pysindy",)
     limits: ClassVar[dict[str, Limit]] = {"substeps": at_least(1)}
 
     model: Any = None
     fitted: bool = False
     substeps: int = 1
+    dead_band: bool = False
+    max_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         import pysindy
@@ -89,9 +91,9 @@ class PySindy(DynamicsModel):
                 f"{self.coefficients_.shape[1]} and {peer.n_control_features_}"
             )
         self.discrete_ = "DiscreteSINDy" in {base.__name__ for base in type(peer).__mro__}
-        ends = ("[k+1]", "") if self.discrete_ else ("", "'")
-        pairs = zip(system.state_names, peer.equations(precision=4), strict=True)
-        self.equations_ = [f"({name}){''.join(ends)} = {right}" for name, right in pairs]
+        self.equations_ = [
+            f"{left} = {right}" for (left, _), right in zip(self._left_sides(), peer.equations(precision=4), strict=True)
+        ]
         self._set_basis(peer.feature_library)
         return self
 
@@ -112,6 +114,13 @@ class PySindy(DynamicsModel):
 
     def learned_arrays(self) -> Mapping[str, Declared]:
         nx, nu, functions = self.system.nx, self.system.nu, len(getattr(self, "functions_", []))
+        if self._basis is None and "_library" not in vars(self):
+            try:
+                kept_object(self.model)
+            except InvalidArgument as error:  # the object is not in this process
+                raise PluginError(str(error)) from error
+        else:
+            plain_features(self.system, tuple(getattr(self, "functions_", ())))
         return {
             "coefficients_": ("terms", nx),
             "exponents_": Numbers("terms", nx + nu + functions, whole=True, least=0, most=MAX_EXPONENT, optional=True),
@@ -119,7 +128,19 @@ class PySindy(DynamicsModel):
         }
 
     def equations(self) -> list[str]:
-        return list(getattr(self, "equations_", []))
+        if not hasattr(self, "coefficients_") or self._basis is None:
+            return list(getattr(self, "equations_", []))
+        features, exponents = plain_features(self.system, self._basis.functions), self._basis.exponents
+        pairs = zip(self._left_sides(), self.coefficients_.T, strict=True)
+        return [
+            equation(left, unit, own, exponents, features.shown_names, features.units) for (left, unit), own in pairs
+        ]
+
+    def _left_sides(self) -> list[tuple[str, str]]:
+        """Return the left side of each equation and its unit."""
+        if self.discrete_:
+            return [(f"{state.name}[+1]", state.unit) for state in self.system.states]
+        return [(f"rate of {state.name}", f"{state.unit or '1'}/s") for state in self.system.states]
 
     @property
     def fit_note(self) -> str:
@@ -233,16 +254,3 @@ def _known(function: Any) -> str | int | None:
 
 def _of(function: str | int, name: str) -> Term:
     return (name,) * function if isinstance(function, int) else (ChannelFunction(function, 1.0, name).text,)
-
-
-@register_adapter("pysindy")
-class PySindyAdapter(Adapter):
-    """Objects of pysindy, ``SINDy`` and ``DiscreteSINDy``."""
-
-    example = "pysindy.SINDy()"
-
-    def recognises(self, thing: object) -> bool:
-        return not isinstance(thing, type) and "pysindy._BaseSINDy" in bases_of(thing)
-
-    def model(self, thing: Any, *, fitted: bool = False) -> DynamicsModel:
-        return PySindy(model=thing, fitted=fitted)

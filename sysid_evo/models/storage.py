@@ -120,6 +120,8 @@ def _restored(path: Path, described: Mapping[str, Any], tensors: Mapping[str, An
         check_learned(model)
     except ShapeError as error:
         raise ArtefactError(f"{path}: not a stored {name}: {error}; store it again, or refit it") from error
+    except PluginError as error:
+        raise ArtefactError(f"{path}: {error}") from error
     return model
 
 

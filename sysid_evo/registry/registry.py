@@ -26,7 +26,8 @@ from sysid_evo.errors import (
 from sysid_evo.extras import DISTRIBUTION, extra_of, missing_extra
 from sysid_evo.files import file_digest, parsed_toml
 from sysid_evo.registry.grammar import Spec
-from sysid_evo.registry.plugins import SHIPPED, declared, source_digest
+from sysid_evo.registry.objects import is_object_text
+from sysid_evo.registry.plugins import SHIPPED, declared, named_in_plugin, source_digest
 from sysid_evo.registry.renamed import RENAMED_GROUPS, refuse_renamed_attributes, warn_of_renamed_group
 
 T = TypeVar("T")
@@ -176,12 +177,23 @@ class Registry(Generic[T]):
             "parameters": {str(key): _plain(value) for key, value in parameters.items() if key is not None},
             "source": source_digest(self.get(found.name)),
             **self._files(found.name, parameters),
+            **self._named_in_plugins(found.name, parameters),
         }
 
     def _files(self, name: str, parameters: Mapping[str | None, Any]) -> dict[str, Any]:
         """Return the digests of the files that parameters name, which a class lists in ``file_parameters``."""
         named = getattr(self.get(name), "file_parameters", ())
         return {"files": {key: file_digest(str(parameters[key])) for key in named}} if named else {}
+
+    def _named_in_plugins(self, name: str, parameters: Mapping[str | None, Any]) -> dict[str, Any]:
+        """Return the digests of the plugins whose definitions parameters name, see ``plugin_parameters`` of a class."""
+        texts = {key: parameters[key] for key in getattr(self.get(name), "plugin_parameters", ())}
+        found = {
+            key: source_digest(named_in_plugin(text, object))
+            for key, text in texts.items()
+            if isinstance(text, str) and not is_object_text(text)
+        }
+        return {"plugins": found} if found else {}
 
     def missing_package(self, name: str) -> MissingExtra | None:
         """Return the error for an optional package that ``name`` needs and that is not installed; None without one.

@@ -20,7 +20,7 @@ from sysid_evo.registry import make_robot, models, tasks
 from sysid_evo.tasks import PointToPoint, Reward
 from sysid_evo.testing import MODEL
 from sysid_evo.testing.examples import ExampleDynamics, continuous_car, example_dataset, pendulum, switched_car
-from tests.fixtures.families import hurry
+from tests.fixtures.families import SMALL, hurry
 from tests.fixtures.faults import Planted, equations, starts_with_twice_the_power
 from tests.fixtures.lanes import step_between_guards
 from tests.fixtures.rewards import WHERE, braked, upright, worth, worth_of_a_car, worth_of_one
@@ -56,6 +56,7 @@ FAMILIES = {
     "latent_ode": STATE_SPACE,
     "single_track": {"starts": 1, "windows": 15},
     "average": {"families": ["linear", "linear(ridge=9)"]},
+    "equations": SMALL["equations"],
 }
 """Every family with settings that are quick to fit; the two that are left out have tests of their own."""
 EXACT = ("k_neighbours", "gaussian_process")

@@ -1,0 +1,52 @@
+"""Adapters of functions, and of objects of pysindy, python-control and PyTorch."""
+
+from __future__ import annotations
+
+import inspect
+from types import FunctionType, ModuleType
+from typing import Any
+
+from sysid_evo import Adapter, DynamicsModel, make_model, register_adapter
+from sysid_evo.models import bases_of
+from sysid_evo.registry.objects import keep_object
+from sysid_evo.registry.plugins import PREFIX
+
+
+@register_adapter("function")
+class FunctionAdapter(Adapter):
+    """Functions f(x, u) or f(x, u, p) of NumPy, as the family `equations`."""
+
+    example = "lambda x, u: -x"
+
+    def recognises(self, thing: object) -> bool:
+        return isinstance(thing, FunctionType)
+
+    def model(self, thing: Any, *, fitted: bool = False) -> DynamicsModel:
+        return make_model("equations", function=definition(thing) or keep_object(thing, self.content(thing)))
+
+    def content(self, thing: Any) -> object:
+        """Return the code and all values that the function sees, but not its name."""
+        seen, code = inspect.getclosurevars(thing), thing.__code__
+        values = {**seen.globals, **seen.nonlocals}
+        named = {name: value for name, value in values.items() if not isinstance(value, (ModuleType, FunctionType))}
+        return code.co_code, repr(code.co_consts), code.co_names, thing.__defaults__, named
+
+
+@register_adapter("pysindy")
+class PySindyAdapter(Adapter):
+    """Objects of pysindy, ``SINDy`` and ``DiscreteSINDy``, as the family `pysindy`."""
+
+    example = "pysindy.SINDy()"
+
+    def recognises(self, thing: object) -> bool:
+        return "pysindy._BaseSINDy" in bases_of(thing)
+
+    def model(self, thing: Any, *, fitted: bool = False) -> DynamicsModel:
+        return make_model("pysindy", model=keep_object(thing), fitted=fitted)
+
+
+def definition(thing: Any) -> str:
+    """Return the name of a function or class of a plugin file, by which a spec finds it; empty for others."""
+    module = thing.__module__
+    named = module.startswith(PREFIX) and "." not in thing.__qualname__
+    return f"{module.removeprefix(PREFIX)}.{thing.__name__}" if named else ""

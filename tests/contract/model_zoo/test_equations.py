@@ -1,0 +1,129 @@
+"""A function of the user is a family: its form and meaning are found out, it is compiled, stored and fitted."""
+
+import re
+import sys
+
+import numpy as np
+import pytest
+
+from sysid_evo import as_model, load_model, load_plugin, make_model, save_model
+from sysid_evo.errors import ArtefactError, IncompatibleSystem, InvalidArgument
+from sysid_evo.models.adapters import as_spec
+from sysid_evo.registry import models
+from sysid_evo.registry.objects import keep_object
+from sysid_evo.registry.plugins import PREFIX
+from tests.fixtures.plants import pendulum
+
+STIFFNESS, FRICTION, GAIN = 9.0, 0.5, 2.0
+
+
+@pytest.fixture(scope="module")
+def swinging():
+    return pendulum()
+
+
+def of_a_sample(x, u):
+    angle, spin = x
+    return np.array([spin, -STIFFNESS * np.sin(angle) - FRICTION * spin + GAIN * u[0]])
+
+
+def of_rows(x, u):
+    return np.stack([x[:, 1], -STIFFNESS * np.sin(x[:, 0]) - FRICTION * x[:, 1] + GAIN * u[:, 0]], axis=1)
+
+
+def branching(x, u):
+    if x[1] > 0.0:
+        return [x[1], -STIFFNESS * np.sin(x[0]) - FRICTION * x[1] + GAIN * u[0]]
+    return [x[1], -STIFFNESS * np.sin(x[0]) + FRICTION * np.abs(x[1]) + GAIN * u[0]]
+
+
+@pytest.mark.parametrize(("function", "form"), [(of_a_sample, "columns"), (of_rows, "rows"), (branching, "single")])
+def test_one_function_in_three_forms_is_one_model(function, form, swinging):
+    expected = as_model(of_a_sample).fit(swinging, rng=0).simulate(swinging.episodes[0])
+    model = as_model(function).fit(swinging, rng=0)
+    assert (model.form_, model.returned_) == (form, "rate")
+    np.testing.assert_allclose(model.simulate(swinging.episodes[0]), expected, rtol=1e-9, atol=1e-9)
+
+
+def next_states(x, u):
+    return x[0] + 0.05 * x[1], x[1] + 0.05 * (-STIFFNESS * np.sin(x[0]) - FRICTION * x[1] + GAIN * u[0])
+
+
+def test_rates_are_told_from_next_states_by_the_error_of_one_step(swinging):
+    discrete = as_model(next_states).fit(swinging, rng=0)
+    assert discrete.returned_ == "next_state"
+    states, controls = swinging.episodes[0].states, swinging.episodes[0].controls
+    np.testing.assert_allclose(discrete.simulate(states[0], controls[:1])[0], next_states(states[0], controls[0]))
+    with pytest.raises(InvalidArgument, match=r"do not show whether unclear returns.*add returns='rate' or"):
+        as_model(unclear).fit(swinging, rng=0)
+    with pytest.raises(InvalidArgument, match="actuator_lag and residual need a function that returns rates"):
+        make_model("equations", function=keep_object(next_states), actuator_lag=True).fit(swinging, rng=0)
+
+
+def unclear(x, u):
+    return 1.05 * x
+
+
+def with_parameters(x, u, p={"stiffness": (0.5, 50.0), "friction": (0.0, 0.2, 5.0), "gain": (0.1, 10.0)}):  # noqa: B006
+    return [x[1], -p[0] * np.sin(x[0]) - p[1] * x[1] + p[2] * u[0]]
+
+
+def with_parameters_of_rows(x, u, p=((0.5, 50.0), (0.0, 5.0), (0.1, 10.0))):
+    return np.stack([x[:, 1], -p[0] * np.sin(x[:, 0]) - p[1] * x[:, 1] + p[2] * u[:, 0]], axis=1)
+
+
+@pytest.mark.parametrize("function", [with_parameters, with_parameters_of_rows])
+def test_parameters_are_fitted_within_the_bounds_that_p_gives(function, swinging):
+    model = make_model("equations", function=keep_object(function), starts=2, windows=80).fit(swinging, rng=0)
+    np.testing.assert_allclose(model.parameters_, [STIFFNESS, FRICTION, GAIN], rtol=0.02)
+    names = ["stiffness", "friction", "gain"] if function is with_parameters else ["p0", "p1", "p2"]
+    assert [row["parameter"] for row in model.parameters_table()] == names
+    assert model.law_parameters()[1].guess == (0.2 if function is with_parameters else 2.5)
+
+
+@pytest.mark.parametrize(
+    ("function", "error", "message"),
+    [
+        (lambda x: x, InvalidArgument, r"expected f\(x, u\), or f\(x, u, p\) with bounds.*got <lambda>\(x\)"),
+        (lambda x, u, p: x, InvalidArgument, r"with bounds as the default of p"),
+        (lambda x, u, p={}: x, InvalidArgument, "the default of p has no parameters"),  # noqa: B006
+        (lambda x, u, p={"a": 3}: x, InvalidArgument, r"a: expected \(low, high\)"),  # noqa: B006
+        (lambda x, u: x[:1], IncompatibleSystem, r"returns 2 numbers; got ValueError: 1 numbers for 2 states"),
+        (lambda x, u: x + np.nan, InvalidArgument, "expected finite numbers at the recorded states"),
+    ],
+)
+def test_a_function_that_cannot_be_used_is_refused_with_an_example(function, error, message, swinging):
+    with pytest.raises(error, match=message):
+        make_model("equations", function=keep_object(function)).fit(swinging, rng=0)
+
+
+FILE = "import numpy as np\n\n\ndef swing(x, u):\n    return [x[1], -5.0 * np.sin(x[0]) - {} * x[1] + u[0]]\n"
+
+
+def test_a_function_of_a_plugin_file_is_stored_by_its_name_and_found_again(swinging, tmp_path, monkeypatch):
+    file = tmp_path / "my_swing.py"
+    file.write_text(FILE.format(0.3))
+    load_plugin(file)
+    model = make_model("equations", function="swing").fit(swinging, rng=0)
+    restored = load_model(save_model(model, tmp_path / "model"))
+    assert np.array_equal(restored.simulate(swinging.episodes[0]), model.simulate(swinging.episodes[0]))
+    first = models.identity("equations(function=swing)")
+    function = sys.modules[f"{PREFIX}my_swing"].swing
+    assert as_spec(function).text == "equations(function='my_swing.swing')"
+    monkeypatch.delitem(sys.modules, f"{PREFIX}my_swing")
+    with pytest.raises(ArtefactError, match=re.escape("got 'swing', which is in none; add --plugin FILE")):
+        load_model(tmp_path / "model")
+    file.write_text(FILE.format(0.4))
+    load_plugin(file)
+    assert models.identity("equations(function=swing)") != first, "results of a changed function are computed again"
+    monkeypatch.delitem(sys.modules, f"{PREFIX}my_swing")
+
+
+def test_functions_with_the_same_name_and_other_values_are_different_objects():
+    def scaled(factor):
+        def law(x, u):
+            return factor * x
+
+        return law
+
+    assert len({as_spec(scaled(factor)).text for factor in (1.0, 2.0)}) == 2
