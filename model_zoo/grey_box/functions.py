@@ -27,7 +27,7 @@ from sysid_evo.system import System
 from sysid_evo.types import Array
 
 EXAMPLE = (
-    "def pendulum(x, u, p={'stiffness': (1, 100), 'friction': (0, 5)}):\n"
+    "def pendulum(x, u, p=(('stiffness', 1, 100), ('friction', 0, 5))):\n"
     "    return x[1], -p[0] * np.sin(x[0]) - p[1] * x[1] + u[0]"
 )
 TRIED = 12
@@ -47,8 +47,8 @@ class Equations(GreyBox):
     the two errors are close. Rates are integrated by the Runge-Kutta method with controls held, in ``substeps``; the
     rotation of a body frame is not added.
 
-    The default of ``p`` gives bounds: ``{"name": (low, high)}`` or ``(low, guess, high)``, or a list of `Parameter`.
-    These parameters are fitted as in any grey box. Without ``p`` nothing is fitted. A function that kernels can read
+    The default of ``p`` is a tuple of parameters, each a `Parameter` or ``(name, low, high)``. They are fitted as in
+    any grey box. Without ``p`` nothing is fitted. A function that kernels can read
     (docs/extending/kernels.md) is compiled; others run in NumPy.
     """
 
@@ -93,7 +93,7 @@ class Equations(GreyBox):
             raise InvalidArgument("equations: actuator_lag and residual need a function that returns rates")
 
     def check_system(self, system: System) -> None:
-        """Call the function at the neutral state. Raises `IncompatibleSystem` if it returns another number of states."""
+        """Call the function at rest. Raises `IncompatibleSystem` if it does not return the states of ``system``."""
         p = np.array([parameter.guess for parameter in self.law_parameters()])
         x, u = system.neutral_state, system.neutral_control
         try:
@@ -162,28 +162,26 @@ FORMS = ("columns", "rows", "single")
 
 
 def _parameters(given: Any) -> tuple[Parameter, ...]:
-    """Return the parameters that the default of p describes."""
-    items = list(given.items()) if isinstance(given, Mapping) else [
-        (one.name if isinstance(one, Parameter) else f"p{i}", one) for i, one in enumerate(given or ())
-    ]  # fmt: skip
+    """Return the parameters that the default of p describes; a guess is the middle of the bounds."""
     found = []
-    for own, bounds in items:
-        if isinstance(bounds, Parameter):
-            found.append(bounds)
-        elif isinstance(bounds, Sequence) and len(bounds) in (2, 3):
-            low, high = float(bounds[0]), float(bounds[-1])
+    for one in given if isinstance(given, (list, tuple)) else ():
+        if isinstance(one, Parameter):
+            found.append(one)
+        elif isinstance(one, (list, tuple)) and len(one) == 3 and isinstance(one[0], str):
+            low, high = float(one[1]), float(one[2])
             logarithmic = low > 0.0 and high >= DECADE * low
-            middle = math.sqrt(low * high) if logarithmic else 0.5 * (low + high)
-            found.append(Parameter(str(own), float(bounds[1]) if len(bounds) == 3 else middle, low, high))
+            found.append(Parameter(one[0], math.sqrt(low * high) if logarithmic else 0.5 * (low + high), low, high))
         else:
-            raise InvalidArgument(f"equations: {own}: expected (low, high) or (low, guess, high), got {bounds!r}. {EXAMPLE}")
+            raise InvalidArgument(f"equations: p: expected a Parameter or (name, low, high), got {one!r}. {EXAMPLE}")
     if not found:
-        raise InvalidArgument(f"equations: the default of p has no parameters: leave p out, or write {EXAMPLE}")
+        raise InvalidArgument(
+            f"equations: expected parameters as the default of p, got {given!r}: leave p out, or write {EXAMPLE}"
+        )
     return tuple(found)
 
 
 def _without_parameters(function: Callable[..., Any]) -> Callable[..., Any]:
-    def law(x: Any, u: Any, p: Any) -> Any:
+    def law(x: Any, u: Any, p: Any) -> Any:  # noqa: ARG001  # the arguments of every law
         return function(x, u)
 
     return law
@@ -209,7 +207,7 @@ def _of_rows(function: Callable[..., Any], x: Array, u: Array, p: Array, error: 
             return found
         if isinstance(error, IndexError):
             error = ValueError(f"a result of shape {found.shape} for x of shape {x.shape}")
-    except (TypeError, ValueError, IndexError):  # the error of a single sample says more
+    except (TypeError, ValueError, IndexError):  # the first error is the one to show
         pass
     raise IncompatibleSystem(
         f"equations: expected a function of x ({x.shape[1]},) and u ({u.shape[1]},)"
@@ -238,25 +236,30 @@ def _on_arrays(function: Callable[..., Any], form: str) -> Callable[..., Any]:
             columns = function
 
     def law(x: Sequence[Any], u: Sequence[Any], p: Sequence[Any]) -> list[Array]:
-        if form == "rows" and max((np.size(one) for one in p), default=1) > 1:
-            return [np.stack(parts, axis=0) for parts in zip(*_each(law, x, u, p), strict=True)]
         grid = np.broadcast_shapes(*(np.shape(one) for one in (*x, *u, *p)))
-        flat = [np.stack([np.broadcast_to(one, grid).ravel() for one in some]) if len(some) else np.empty((0, math.prod(grid))) for some in (x, u, p)]
-        if form == "single":
-            found: Any = np.stack([_of_one(function, *(part[:, i] for part in flat)) for i in range(flat[0].shape[1])], axis=1)
-        elif form == "rows":
-            found = np.asarray(_called(function, flat[0].T, flat[1].T, flat[2][:, 0])).T
+        count = math.prod(grid)
+        states, controls, values = (_flat(some, grid) for some in (x, u, p))
+        if form == "rows":
+            found: Any = np.empty((len(x), count))
+            vectors, which = np.unique(values, axis=1, return_inverse=True)
+            for number, vector in enumerate(vectors.T):
+                some = np.ravel(which) == number
+                found[:, some] = np.asarray(_called(function, states.T[some], controls.T[some], vector)).T
+        elif form == "single":
+            each = zip(states.T, controls.T, values.T, strict=True)
+            found = np.stack([_of_one(function, *one) for one in each], axis=1)
         else:
-            found = _called(columns, *flat)
+            found = _called(columns, states, controls, values)
         if len(found) != len(x):
             raise ValueError(f"{len(found)} numbers for {len(x)} states")
-        return [np.broadcast_to(one, flat[0].shape[1]).reshape(grid) for one in found]
+        return [np.broadcast_to(one, count).reshape(grid) for one in found]
 
     return law
 
 
-def _each(law: Callable[..., Any], x: Sequence[Any], u: Sequence[Any], p: Sequence[Any]) -> list[list[Array]]:
-    """Return the results of ``law`` for each parameter vector of (P, 1) or (P, B), one after the other."""
-    count = max(np.shape(one)[0] for one in p)
-    cut = [[one[i] if np.ndim(one) > 1 and len(one) == count else (one[0] if np.ndim(one) > 1 else one) for one in some] for i in range(count) for some in (x, u, p)]
-    return [law(*cut[3 * i : 3 * i + 3]) for i in range(count)]
+def _flat(values: Sequence[Any], grid: tuple[int, ...]) -> Array:
+    """Return the arrays, broadcast to ``grid``, as rows (n, N)."""
+    found = np.empty((len(values), math.prod(grid)))
+    for row, value in zip(found, values, strict=True):
+        row[:] = np.broadcast_to(value, grid).ravel()
+    return found

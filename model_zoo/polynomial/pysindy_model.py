@@ -91,9 +91,8 @@ class PySindy(DynamicsModel):
                 f"{self.coefficients_.shape[1]} and {peer.n_control_features_}"
             )
         self.discrete_ = "DiscreteSINDy" in {base.__name__ for base in type(peer).__mro__}
-        self.equations_ = [
-            f"{left} = {right}" for (left, _), right in zip(self._left_sides(), peer.equations(precision=4), strict=True)
-        ]
+        right = zip(self._left_sides(), peer.equations(precision=4), strict=True)
+        self.equations_ = [f"{left} = {terms}" for (left, _), terms in right]
         self._set_basis(peer.feature_library)
         return self
 
@@ -123,7 +122,9 @@ class PySindy(DynamicsModel):
             plain_features(self.system, tuple(getattr(self, "functions_", ())))
         return {
             "coefficients_": ("terms", nx),
-            "exponents_": Numbers("terms", nx + nu + functions, whole=True, least=0, most=MAX_EXPONENT, optional=True),
+            "exponents_": Numbers(
+                "terms", nx + nu + functions, whole=True, least=0, most=MAX_EXPONENT, optional=self.model is not None
+            ),
             "seen_": Numbers(whole=True, least=nx, most=nx + nu),
         }
 

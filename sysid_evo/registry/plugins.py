@@ -96,8 +96,8 @@ def named_in_plugin(text: str, kind: type) -> Any:
     if len(found) != 1:
         several = f"in several: write {' or '.join(f'{stem}.{name}' for stem in sorted(found))}" if found else "in none"
         raise InvalidArgument(
-            f"expected the name of a {kind.__name__} in a plugin file that is loaded, got {text!r}, which is {several}; "
-            "add --plugin FILE (in Python load_plugin)"
+            f"expected the name of a {kind.__name__} in a plugin file that is loaded, got {text!r}, which is {several}"
+            "; add --plugin FILE (in Python load_plugin)"
         )
     return next(iter(found.values()))
 

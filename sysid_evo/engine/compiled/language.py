@@ -5,9 +5,10 @@ of the kernel (one float64 literal in float32 code would make the whole expressi
 replaced by vectorisable functions. The file name is a hash of its text and of the versions it depends on, see
 `sysid_evo.engine.compiled.compiler`.
 
-A kernel function may use arguments and local names, numbers, ``math``, NumPy's functions of numbers, other such functions (also those decorated with
-``numba.njit``), module-level numbers, the words of `sysid_evo.kernels`, and the places of a `Layout` of the module. A
-loop may also use the names within its own arguments. Write literals of real arithmetic with a point (``2.0``).
+A kernel function may use arguments and local names, numbers, ``math``, NumPy's functions of numbers, other such
+functions (also those decorated with ``numba.njit``), module-level numbers, the words of `sysid_evo.kernels`, and the
+places of a `Layout` of the module. It may return ``[a, b]`` or ``np.array([a, b])``, which become tuples. A loop may
+also use the names within its own arguments. Write literals of real arithmetic with a point (``2.0``).
 """
 
 from __future__ import annotations
@@ -97,7 +98,9 @@ class _ModuleWriter:
         tree = _parse(plain_function(source.function))
         name = "entry" if entry else self.fresh(tree.name)
         tree.name, tree.decorator_list, tree.returns = name, [], None
-        tree.args.defaults = [one if isinstance(one, ast.Constant) else ast.Constant(None) for one in tree.args.defaults]
+        tree.args.defaults = [
+            one if isinstance(one, ast.Constant) else ast.Constant(None) for one in tree.args.defaults
+        ]
         if tree.body and isinstance(tree.body[0], ast.Expr) and isinstance(tree.body[0].value, ast.Constant):
             tree.body = tree.body[1:]
         if isinstance(source, ScalarLaw):

@@ -34,7 +34,7 @@ def branching(x, u):
     return [x[1], -9.0 * np.sin(x[0]) + 0.7 * np.abs(x[1]) + 2.0 * u[0]]
 
 
-def with_a_parameter(x, u, p={"stiffness": (1.0, 50.0)}):  # noqa: B006
+def with_a_parameter(x, u, p=(("stiffness", 1.0, 50.0),)):
     return x[1], -p[0] * np.sin(x[0]) - 0.5 * x[1] + 2.0 * u[0]
 
 

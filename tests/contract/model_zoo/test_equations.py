@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 
+from model_zoo import Parameter
 from sysid_evo import as_model, load_model, load_plugin, make_model, save_model
 from sysid_evo.errors import ArtefactError, IncompatibleSystem, InvalidArgument
 from sysid_evo.models.adapters import as_spec
@@ -64,11 +65,14 @@ def unclear(x, u):
     return 1.05 * x
 
 
-def with_parameters(x, u, p={"stiffness": (0.5, 50.0), "friction": (0.0, 0.2, 5.0), "gain": (0.1, 10.0)}):  # noqa: B006
+NAMED = (("stiffness", 0.5, 50.0), Parameter("friction", 0.2, 0.0, 5.0, "1/s"), ("gain", 0.1, 10.0))
+
+
+def with_parameters(x, u, p=NAMED):
     return [x[1], -p[0] * np.sin(x[0]) - p[1] * x[1] + p[2] * u[0]]
 
 
-def with_parameters_of_rows(x, u, p=((0.5, 50.0), (0.0, 5.0), (0.1, 10.0))):
+def with_parameters_of_rows(x, u, p=NAMED):
     return np.stack([x[:, 1], -p[0] * np.sin(x[:, 0]) - p[1] * x[:, 1] + p[2] * u[:, 0]], axis=1)
 
 
@@ -76,9 +80,8 @@ def with_parameters_of_rows(x, u, p=((0.5, 50.0), (0.0, 5.0), (0.1, 10.0))):
 def test_parameters_are_fitted_within_the_bounds_that_p_gives(function, swinging):
     model = make_model("equations", function=keep_object(function), starts=2, windows=80).fit(swinging, rng=0)
     np.testing.assert_allclose(model.parameters_, [STIFFNESS, FRICTION, GAIN], rtol=0.02)
-    names = ["stiffness", "friction", "gain"] if function is with_parameters else ["p0", "p1", "p2"]
-    assert [row["parameter"] for row in model.parameters_table()] == names
-    assert model.law_parameters()[1].guess == (0.2 if function is with_parameters else 2.5)
+    assert [row["parameter"] for row in model.parameters_table()] == ["stiffness", "friction", "gain"]
+    assert [one.guess for one in model.law_parameters()] == [5.0, 0.2, 1.0]
 
 
 @pytest.mark.parametrize(
@@ -86,8 +89,8 @@ def test_parameters_are_fitted_within_the_bounds_that_p_gives(function, swinging
     [
         (lambda x: x, InvalidArgument, r"expected f\(x, u\), or f\(x, u, p\) with bounds.*got <lambda>\(x\)"),
         (lambda x, u, p: x, InvalidArgument, r"with bounds as the default of p"),
-        (lambda x, u, p={}: x, InvalidArgument, "the default of p has no parameters"),  # noqa: B006
-        (lambda x, u, p={"a": 3}: x, InvalidArgument, r"a: expected \(low, high\)"),  # noqa: B006
+        (lambda x, u, p=(): x, InvalidArgument, r"parameters as the default of p, got \(\)"),
+        (lambda x, u, p=(3,): x, InvalidArgument, r"expected a Parameter or \(name, low, high\), got 3"),
         (lambda x, u: x[:1], IncompatibleSystem, r"returns 2 numbers; got ValueError: 1 numbers for 2 states"),
         (lambda x, u: x + np.nan, InvalidArgument, "expected finite numbers at the recorded states"),
     ],
