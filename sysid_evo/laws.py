@@ -149,7 +149,7 @@ class _ElementWise(ast.NodeTransformer):
             value = ast.Call(ast.Name("_named", ast.Load()), [ast.Constant(node.targets[0].id), value], [])
         return ast.Assign([self.visit(target) for target in node.targets], value)
 
-    def visit_Return(self, node: ast.Return) -> ast.stmt:  # ast's own naming
+    def visit_Return(self, node: ast.Return) -> ast.AST:  # ast's own naming
         return self.generic_visit(without_array(node))
 
     def visit_AugAssign(self, node: ast.AugAssign) -> ast.stmt:  # ast's own naming

@@ -318,9 +318,9 @@ def structure_kernel(
         return None
     own = Predictor(law, kernel_parameters(structure, p[None])[0], 0)
     own = own if extra is None else added(own, extra, structure.system.nx)
-    if not structure.own_frame and (turning := turning_frame(own, system)) is None:
+    after = own if structure.own_frame else turning_frame(own, system)
+    if after is None:
         return None
-    after = own if structure.own_frame else turning
     if not structure.discrete:
         after = runge_kutta_predictor(after, system, substeps=structure.substeps, n_carry=structure.layout.size)
     return stepping_kernel(after, system, output="next_state", lags=(0, structure.delay), dead_band_size=dead_band_size)

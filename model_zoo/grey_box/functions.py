@@ -109,7 +109,7 @@ class Equations(GreyBox):
         p = np.array([parameter.guess for parameter in self.law_parameters()])
         try:
             found = np.stack([_of_one(function, x[i], u[i], p) for i in range(len(x))])
-            forms = FORMS[:2]
+            forms: tuple[str, ...] = FORMS[:2]
         except (TypeError, ValueError, IndexError) as error:
             found, forms = _of_rows(function, x, u, p, error), FORMS[1:2]
         if not np.isfinite(found).all():

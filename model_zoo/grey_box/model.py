@@ -217,7 +217,7 @@ class GreyBox(DynamicsModel):
         self.prepare(dataset)
         structure = self._with_priors(self._structure_on(dataset.system), dataset)
         if not structure.parameters:
-            self.determined_, self.parameters_, self.covariance_ = [], np.empty(0), np.empty((0, 0))
+            self.parameters_, self.covariance_ = np.empty(0), np.empty((0, 0))
             return self
         total = SCREENED + self.starts * FIRST_EVALUATIONS * 2 + FINAL_STARTS * LAST_EVALUATIONS * 2
         counter = Counter(progress, total)
@@ -362,7 +362,7 @@ class GreyBox(DynamicsModel):
         Rows of parameters whose estimates are correlated above 0.9 with others have ``correlations``.
         """
         parameters = self._structure_on(self.system).parameters
-        return parameter_rows(parameters, self.parameters_, self.covariance_, self.determined_)
+        return parameter_rows(parameters, self.parameters_, self.covariance_, getattr(self, "determined_", []))
 
     @property
     def fit_note(self) -> str:

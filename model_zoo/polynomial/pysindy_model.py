@@ -212,7 +212,7 @@ def terms_of(library: Any, features: Features, seen: int) -> list[Term] | None:
     kind, names = type(library).__name__, features.names[:seen]
     inputs = InputSelection(tuple(names))
     if kind == "PolynomialLibrary":
-        given = ("degree", "include_interaction", "interaction_only", "include_bias")
+        given: tuple[str, ...] = ("degree", "include_interaction", "interaction_only", "include_bias")
         found = Polynomial(**{name: getattr(library, name) for name in given}, inputs=inputs).terms(features)
     elif kind == "FourierLibrary":
         given = ("n_frequencies", "include_sin", "include_cos")
