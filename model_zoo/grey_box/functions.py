@@ -37,7 +37,7 @@ CLEAR = 1.25
 
 
 @register_model("equations")
-class Equations(GreyBox):
+class FunctionGreyBox(GreyBox):
     """Equations of your own: a function f(x, u) or f(x, u, p) of NumPy that returns rates or next states.
 
     ``function`` is the function, or the name of one in a plugin file (``FILE.NAME`` if several files have it). x and u
