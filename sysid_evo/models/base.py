@@ -50,7 +50,6 @@ from sysid_evo.progress import Checkpoint, Progress, TimeLeft, reporting
 from sysid_evo.randomness import as_generator
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import models
-from sysid_evo.registry.renamed import refuse_renamed_attributes
 from sysid_evo.system import System
 from sysid_evo.types import Array
 from sysid_evo.validation.simulation_error import error_windows, simulation_error
@@ -146,7 +145,6 @@ class DynamicsModel(Dynamics, ParameterAccess):
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
-        refuse_renamed_attributes(cls.__module__, cls)  # a grey box need not be registered
         cached = {name for name, value in vars(cls).items() if isinstance(value, functools.cached_property)}
         cls._derived = cls._derived | cached
         if "fit" in cls.__dict__:

@@ -28,7 +28,6 @@ from sysid_evo.files import file_digest, parsed_toml
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.objects import is_object_text
 from sysid_evo.registry.plugins import SHIPPED, declared, named_in_plugin, source_digest
-from sysid_evo.registry.renamed import RENAMED_GROUPS, refuse_renamed_attributes, warn_of_renamed_group
 
 T = TypeVar("T")
 V = TypeVar("V")
@@ -52,13 +51,10 @@ class Registry(Generic[T]):
     def register(self, name: str) -> Callable[[F], F]:
         """Return a decorator that registers a class or a factory as ``name``.
 
-        Raises `RegistrationError`, with both modules, if the name is in use, or if the class uses an old attribute
-        name.
+        Raises `RegistrationError`, with both modules, if the name is in use.
         """
 
         def decorate(factory: F) -> F:
-            if isinstance(factory, type):
-                refuse_renamed_attributes(f"{self.kind} {name!r}", factory)
             lacking = sorted(getattr(factory, "__abstractmethods__", ()))
             if lacking:
                 raise RegistrationError(
@@ -87,9 +83,7 @@ class Registry(Generic[T]):
         self._entries.pop(name, None)
 
     def names(self) -> tuple[str, ...]:
-        """Return all names, sorted; nothing is imported. An entry point in an old group gives a `PluginWarning`."""
-        if (old := RENAMED_GROUPS.get(self.group)) is not None:
-            warn_of_renamed_group(self.group, _installed(tuple(sys.path)).select(group=old))
+        """Return all names, sorted; nothing is imported."""
         return tuple(sorted({*self._entries, *(point.name for point in self._points())}))
 
     @property
@@ -127,9 +121,7 @@ class Registry(Generic[T]):
         Raises the errors of `get`, `check` and the constructor.
         """
         found = self.check(spec, **parameters)
-        made = self.get(found.name)(**found.parameters)
-        refuse_renamed_attributes(f"{self.kind} {found.name!r}", type(made), made)
-        return made
+        return self.get(found.name)(**found.parameters)
 
     def check(self, spec: str | Spec, /, **parameters: Any) -> Spec:
         """Return the spec with ``parameters`` added, if its name is known and the constructor has all parameters.

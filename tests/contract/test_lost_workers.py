@@ -4,7 +4,6 @@ import logging
 from concurrent.futures import CancelledError, Future
 from types import SimpleNamespace
 
-import dask
 import distributed
 import pytest
 from distributed import KilledWorker
@@ -63,44 +62,12 @@ def test_a_client_is_made_of_an_address_without_becoming_that_of_others_and_clos
     assert log.level == before
 
 
-def test_a_client_that_was_given_stays_open_and_must_be_one_that_waits():
-    given = MadeUpClient()
-    with connected(given) as client:
-        assert client is given
-    assert not given.closed
+def test_a_client_must_be_one_that_waits():
     with (
         pytest.raises(InvalidArgument, match="expected a synchronous Client"),
         connected(MadeUpClient(asynchronous=True)),
     ):
         pass
-
-
-def test_without_an_answer_the_error_names_what_to_do(monkeypatch):
-    def refuse(*_, **__):
-        raise OSError("timed out\nafter 1 s")
-
-    monkeypatch.setattr(MadeUpClient, "__init__", refuse)
-    with pytest.raises(SchedulerLost) as lost, connected("tcp://127.0.0.1:9"):
-        pass
-    assert "no scheduler answers at tcp://127.0.0.1:9 (timed out): start one with 'dask scheduler'" in str(lost.value)
-    assert "rerun the same command to resume" in str(lost.value)
-    assert logging.getLogger("distributed.client").level != logging.CRITICAL
-
-
-def test_certificates_are_asked_for_where_the_address_needs_some(made):
-    with (
-        dask.config.set({"distributed.comm.tls.client.cert": None}),
-        pytest.raises(InvalidArgument, match=r"scheduler tls://127\.0\.0\.1:9: expected certificates"),
-        connected("tls://127.0.0.1:9"),
-    ):
-        pass
-    assert made == []
-
-
-def test_an_address_is_read_from_the_file_of_a_scheduler(tmp_path):
-    (tmp_path / "there.json").write_text('{"address": "tcp://127.0.0.1:9", "id": "x"}')
-    assert address_of(str(tmp_path / "there.json")) == "tcp://127.0.0.1:9"
-    assert address_of("tls://there:1") == "tls://there:1"
 
 
 @pytest.mark.parametrize("text", ["{", "[1]", "{}", "3"])
@@ -307,24 +274,6 @@ def test_an_error_with_a_working_connection_is_raised(here):
     for deed in (here.look, lambda: here.cluster.submit(TOP, ())):
         with pytest.raises(RuntimeError, match="broken"):
             deed()
-
-
-def test_in_the_end_all_is_taken_back_and_free(tmp_path):
-    here = Here(tmp_path / "run")
-    with here.cluster:
-        here.look()
-        here.cluster.submit(TOP, ())
-        assert len(here.client.topics) == 1
-    assert (here.client.topics, here.client.ended) == ([], [False])
-    with here.store.claim(TOP) as ours:
-        assert ours
-
-
-def test_workers_report_the_progress_of_their_cells(here):
-    here.cluster.submit(TOP, ())
-    here.cluster._events.put((TOP.digest, 1, 2, "half"))
-    here.cluster._events.put((ONE.digest, 1, 2, "not sent"))
-    assert list(here.cluster.progress()) == [(TOP, 1, 2, "half")]
 
 
 @pytest.mark.parametrize("name", ["auto", "reference"])

@@ -7,18 +7,9 @@ from types import ModuleType
 
 import pytest
 
-from hardware.robot import Robot
-from model_zoo.grey_box.model import GreyBox
-from sysid_evo.controllers.controller import Controller
-from sysid_evo.data.readers import Reader
 from sysid_evo.errors import InvalidArgument, MissingExtra, PluginError, PluginWarning, RegistrationError, UnknownName
-from sysid_evo.models import DynamicsModel
-from sysid_evo.models.dynamics import Dynamics
-from sysid_evo.motion import Motion
 from sysid_evo.registry import KINDS, Registry, Spec, load_plugin, make_robot, models, robots, source_digest
 from sysid_evo.registry import registry as registry_module
-from sysid_evo.registry.renamed import RENAMED_ATTRIBUTES, RENAMED_GROUPS
-from sysid_evo.tasks.task import Task
 from tests.fixtures.commands import forgetting
 
 GROUP = "sysid_evo.test_things"
@@ -228,49 +219,6 @@ def test_two_plugin_files_of_one_name_are_not_confused(write):
     load_plugin(first)
     with pytest.raises(PluginError, match=r"b/my_robot.py: .*a/my_robot.py, a file of the same name, is loaded"):
         load_plugin(second)
-
-
-BASES = {base.__name__: base for base in (Controller, Dynamics, DynamicsModel, GreyBox, Motion, Reader, Robot, Task)}
-
-
-@pytest.mark.parametrize(
-    ("base", "old", "new"),
-    [(base, old, new) for base, names in RENAMED_ATTRIBUTES.items() for old, new in names.items()],
-)
-def test_a_plugin_class_with_an_old_attribute_name_is_refused_with_the_new_one(things, base, old, new):
-    assert not hasattr(BASES[base], old)
-    families = [family for _, family in models.load_all()]
-    assert any(hasattr(one, new) or new in vars(one).get("__annotations__", {}) for one in (BASES[base], *families))
-    for body in ({old: 1}, {"__annotations__": {old: int}}):
-        with pytest.raises(RegistrationError) as raised:
-            things.register("outdated")(type("Outdated", (BASES[base],), {**body, "__module__": __name__}))
-        where = __name__ if issubclass(BASES[base], DynamicsModel) else "thing 'outdated'"
-        assert str(raised.value) == f"{where}: rename '{old}' of Outdated, it is called '{new}' now"
-    assert things.names() == ()
-
-
-def test_a_robot_that_a_function_makes_is_refused_with_an_old_attribute_name(register):
-    class Outdated(Robot):
-        def __init__(self):
-            self.usual_task = "circuit"
-
-        def connect(self):
-            raise NotImplementedError
-
-    register(robots, "made_up", lambda: Outdated())
-    with pytest.raises(RegistrationError, match=r"robot 'made_up': rename 'usual_task' .* called 'default_task' now"):
-        make_robot("made_up")
-
-
-@pytest.mark.parametrize(("new", "old"), RENAMED_GROUPS.items())
-def test_an_entry_point_in_an_old_group_is_answered_with_the_new_one(install, new, old):
-    install({"mine": "my_module"}, {"my_module": ""}, group=old)
-    registry = Registry("thing", new)
-    reason = rf"entry point mine = 'my_module' is ignored: its group {old} is called {new} now"
-    with pytest.warns(PluginWarning, match=reason):
-        assert "mine" not in registry.names()
-    with pytest.warns(PluginWarning, match=reason), pytest.raises(UnknownName, match="no thing is called 'mine'"):
-        registry.get("mine")
 
 
 def test_a_robot_may_be_named_with_a_seed(register):
