@@ -6,6 +6,8 @@ import inspect
 from types import FunctionType, ModuleType
 from typing import Any
 
+import numpy as np
+
 from sysid_evo import Adapter, DynamicsModel, make_model, register_adapter
 from sysid_evo.models import bases_of
 from sysid_evo.registry.objects import keep_object
@@ -43,6 +45,23 @@ class PySindyAdapter(Adapter):
 
     def model(self, thing: Any, *, fitted: bool = False) -> DynamicsModel:
         return make_model("pysindy", model=keep_object(thing), fitted=fitted)
+
+
+@register_adapter("control")
+class ControlAdapter(Adapter):
+    """Systems of python-control, ``StateSpace`` and ``TransferFunction``, as the family `lti`."""
+
+    example = "control.tf([1], [1, 1])"
+
+    def recognises(self, thing: object) -> bool:
+        return bool(bases_of(thing) & {"control.StateSpace", "control.TransferFunction"})
+
+    def model(self, thing: Any, *, fitted: bool = False) -> DynamicsModel:
+        import control
+
+        system = control.ss(thing)
+        parts = [np.asarray(part, dtype=np.float64).tolist() for part in (system.A, system.B, system.C, system.D)]
+        return make_model("lti", model=parts if system.dt is None else [*parts, system.dt])
 
 
 def definition(thing: Any) -> str:

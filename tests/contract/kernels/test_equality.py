@@ -57,6 +57,7 @@ FAMILIES = {
     "single_track": {"starts": 1, "windows": 15},
     "average": {"families": ["linear", "linear(ridge=9)"]},
     "equations": SMALL["equations"],
+    "lti": SMALL["lti"],
 }
 """Every family with settings that are quick to fit; the two that are left out have tests of their own."""
 EXACT = ("k_neighbours", "gaussian_process")

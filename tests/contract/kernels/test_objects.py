@@ -65,3 +65,11 @@ def test_objects_of_pysindy_have_a_compiled_form(kind, swinging):
     sines = ps.CustomLibrary([lambda a: np.sin(a), lambda a: a * np.abs(a)])
     thing = getattr(ps, kind)(feature_library=ps.TensoredLibrary([ps.PolynomialLibrary(1), sines]))
     expect_compiled("pysindy", swinging, model=keep_object(thing))
+
+
+LAGGED = [[[0.0, 1.0, 0.0], [-9.0, -0.5, 2.0], [0.0, 0.0, -8.0]], [[0.0], [0.0], [8.0]], np.eye(2, 3).tolist(), 0]
+
+
+@pytest.mark.parametrize("matrices", [[RATES.tolist(), PUSH.tolist(), np.eye(2).tolist(), 0], LAGGED])
+def test_linear_systems_have_a_compiled_form(matrices, swinging):
+    expect_compiled("lti", swinging, model=matrices)
