@@ -106,7 +106,9 @@ def test_a_system_that_does_not_fit_is_refused(thing, error, message, whole):
         as_model(thing).fit(whole, rng=0)
 
 
-@pytest.mark.parametrize(("given", "message"), [(None, "such as control.ss"), ([[[1.0]]], "makes no state space of it")])
+@pytest.mark.parametrize(
+    ("given", "message"), [(None, "such as control.ss"), ([[[1.0]]], "makes no state space of it")]
+)
 def test_what_is_no_system_is_refused(given, message, whole):
     with pytest.raises(InvalidArgument, match=message):
         make_model("lti", model=given).fit(whole, rng=0)
