@@ -36,9 +36,9 @@ class LtiSystem(StateSpaceModel):
 
     x' = A x + B (u - u0), y = C x + y0: its outputs are the states of the recording and its inputs the controls, in
     order. ``model`` is the system, or the arguments of ``control.ss`` as a list, ``[A, B, C, D]`` and the sampling time
-    of a discrete one. A continuous system is sampled with zero-order hold at the rate of the recording. ``operating_point`` is
-    ``zero``, ``mean`` (of the recorded states and controls), or given by ``operating_states`` and
-    ``operating_controls``.
+    of a discrete one. A continuous system is sampled with zero-order hold at the rate of the recording.
+    ``operating_point`` is ``zero``, ``mean`` (of the recorded states and controls), or given by ``operating_states``
+    and ``operating_controls``.
 
     If the outputs of one sample do not determine the states, a Kalman observer estimates them from the samples before.
     Its process noise acts as the controls do, with the variance in `RATIOS` of the lowest simulation error.
