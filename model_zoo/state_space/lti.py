@@ -141,7 +141,8 @@ def sampled(thing: Any, dt: float) -> tuple[Array, Array, Array]:
             "lti: expected D = 0: a recorded state cannot depend on the control that follows it; got "
             f"D = {np.asarray(system.D).tolist()}"
         )
-    return tuple(np.array(part, dtype=np.float64) for part in (system.A, system.B, system.C))
+    a, b, c = (np.array(part, dtype=np.float64) for part in (system.A, system.B, system.C))
+    return a, b, c
 
 
 def responses(a: Array, b: Array, dataset: Dataset, u0: Array) -> Array:
@@ -167,7 +168,7 @@ def kalman_gain(a: Array, b: Array, c: Array, controls: Array, ratio: float, noi
         p = solve_discrete_are(a.T, c.T, process, np.diag(noise))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise InvalidArgument(f"lti: there is no observer for this system: {error}; is it observable?") from error
-    return np.linalg.solve(c @ p @ c.T + np.diag(noise), c @ p @ a.T).T
+    return np.asarray(np.linalg.solve(c @ p @ c.T + np.diag(noise), c @ p @ a.T).T, dtype=np.float64)
 
 
 def history_of(error: Array, longest: int) -> int:
