@@ -66,7 +66,7 @@ def as_model(thing: object, *, fitted: bool = False) -> DynamicsModel:
     adapter = None if isinstance(thing, type) else adapter_of(thing)
     if adapter is None:
         got = f"the class {thing.__name__}: an object is {thing.__name__}()" if isinstance(thing, type) else None
-        line = ", ".join(["'narx'", *(adapters.get(name).example for name in adapters.names())])
+        line = ", ".join(["'narx'", *(str(adapters.glance(name, "example")) for name in adapters.names())])
         raise InvalidArgument(
             f"expected the name of a family, or an object of a kind that an adapter recognises "
             f"({', '.join(adapters.names())}), got {got or f'a {class_name(thing)}'}. This works: models=[{line}]"
