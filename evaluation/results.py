@@ -63,8 +63,7 @@ class ComparisonResults(Displayed):
         """Claimed and achieved fitness of every controller, and the recommended one, by its forecast."""
         if self.matrix is None or not self.matrix.champions:
             return None
-        pick = best_choice(self.matrix, self.forecasts, outside_shares(self.exploitability))
-        return chosen_by(summarise(self.matrix), self.forecasts, pick)
+        return chosen_by(summarise(self.matrix), self.forecasts, best_choice(self.matrix, self.forecasts))
 
     @cached_property
     def forecasts(self) -> Mapping[str, Forecast]:
@@ -72,7 +71,8 @@ class ComparisonResults(Displayed):
         if self.matrix is None:
             return {}
         models = () if self.prediction is None else self.prediction.models
-        return forecasts(self.matrix, {model.name: error_of(model) for model in models})
+        errors = {model.name: error_of(model) for model in models}
+        return forecasts(self.matrix, errors, outside_shares(self.exploitability))
 
     @cached_property
     def model_forecasts(self) -> Mapping[str, ModelForecast]:

@@ -131,7 +131,11 @@ def guessed_share(models: Sequence[ModelExploitability], controller: str) -> flo
     None if that is below the limits `EXTRAPOLATED` and `MOSTLY_EXTRAPOLATED`, or unknown.
     """
     found = [
-        (share, one.outside_held_out or 0.0) for one in models for name, share in one.outside if name == controller
+        (share, one.outside_held_out or 0.0)
+        for one in models
+        if controller in one.controllers
+        for name, share in one.outside
+        if name == controller
     ]
     if not found:
         return None

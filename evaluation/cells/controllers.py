@@ -165,7 +165,7 @@ class Choose(CellSettings):
         return {
             "contenders": [sorted({member.registered for member in one.settings.members}) for one in self.searches],
             "scoring_models": [model.registered for model in self.scoring_models],
-            "rule": [FORECAST_RULE.power, FORECAST_RULE.own],
+            "rule": [FORECAST_RULE.power, FORECAST_RULE.least_error, FORECAST_RULE.own],
             "trials": self.trials,
             "seed": self.seed,
         }

@@ -267,15 +267,15 @@ class _Gathered:
         errors = {label: error_of(self._value(cell)) for label, cell in self.comparison.predictions.items()}
         waiting = [run.settings.champion for run in planned.runs if self._state(run) == "missing"]
         ran = {cell.name for cell in planned.controllers if not any(cell is one for one in waiting)}
-        found = {} if matrix is None else forecasts(matrix, errors)
+        looked = self.comparison.exploitability
+        exploits = None if looked is None else self._value(looked)
+        found = {} if matrix is None else forecasts(matrix, errors, outside_shares(exploits or ()))
         found = {name: forecast for name, forecast in found.items() if name in ran}
         resting = None if matrix is None else next(iter(matrix.at_rest), None)
         summaries = {} if matrix is None else {one.name: one for one in summarise(matrix).controllers}
         rest_fitness = None if matrix is None or resting is None else _achieved(matrix, resting)
         finished = all(self._state(cell) != "missing" for cell in self.comparison.plan)
-        looked = self.comparison.exploitability
-        exploits = None if looked is None else self._value(looked)
-        chosen = best_choice(matrix, found, outside_shares(exploits or ())) if finished and matrix is not None else None
+        chosen = best_choice(matrix, found) if finished and matrix is not None else None
         for cell in planned.controllers:
             if self._state(cell) == "missing":
                 continue

@@ -118,7 +118,7 @@ def model_texts(given: Sequence[object] | Mapping[str, object]) -> tuple[str, ..
 def plain_parameters(model: DynamicsModel) -> dict[str, Any]:
     """Return the hyper-parameters of ``model`` with texts for objects from Python, see `sysid_evo.registry.objects`.
 
-    An object in a list stands for a model, so that its text is a spec. Objects without an adapter are unchanged.
+    An object in a list is a model, so that its text is a spec. Objects without an adapter are unchanged.
     """
     return {name: _plain(value) for name, value in model.get_params(deep=False).items()}
 

@@ -55,7 +55,9 @@ def seen(record: Record, car: int, run: str, rule: ForecastRule) -> Seen:
     families = {columns[label]["family"] for label in against}
     own = [column["family"] in families for column in columns.values()]
     errors = [column["error"] for column in columns.values()]
-    value, _, high = forecast_of(list(fitness.values()), errors, own, rule=replace(rule, low=0.0, high=1.0))
+    outside = [column.get("outside") for column in columns.values()]
+    rule = replace(rule, low=0.0, high=1.0)
+    value, _, high = forecast_of(list(fitness.values()), errors, own, outside=outside, rule=rule)
     elsewhere = [fitness[label].mean() for label, mine in zip(columns, own, strict=True) if not mine]
     claimed = min((float(fitness[label].mean()) for label in against), default=value)
     others = float(np.median(elsewhere)) if elsewhere else value

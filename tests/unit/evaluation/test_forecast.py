@@ -40,8 +40,8 @@ INF, NAN = float("inf"), float("nan")
         ([None, None], [], [0.5, 0.5]),
         ([INF, 0.1], [], [0.0, 1.0]),
         ([NAN, INF], [], [0.5, 0.5]),
-        ([0.0, 0.01], [], [0.5, 0.5]),
-        ([0.01, 0.02], [], [0.8, 0.2]),
+        ([0.0, 0.1], [], [0.5, 0.5]),
+        ([0.2, 0.4], [], [0.8, 0.2]),
     ],
     ids=[
         "twice the error, a quarter", "of the own family, half", "not known, as much as the best", "none known",
@@ -109,14 +109,15 @@ def test_one_model_alone_is_too_few():
 def test_a_forecast_is_in_the_units_of_the_task_and_moves_with_its_zero():
     rng = np.random.default_rng(0)
     trials = [rng.normal(mean, 1.0, size=50) for mean in (10.0, 9.0, 12.0)]
-    plain = np.array(forecast_of(trials, [0.1, 0.2, 0.3], [False, True, False]))
-    scaled = np.array(forecast_of([5.0 * one - 300.0 for one in trials], [0.1, 0.2, 0.3], [False, True, False]))
+    known = {"errors": [0.1, 0.2, 0.3], "own": [False, True, False], "outside": [0.5, 0.2, 0.1]}
+    plain = np.array(forecast_of(trials, **known, rest=[2.0] * 3))
+    scaled = np.array(forecast_of([5.0 * one - 300.0 for one in trials], **known, rest=[-290.0] * 3))
     np.testing.assert_allclose(scaled, 5.0 * plain - 300.0)
 
 
 def foretold(trials, **keywords):
     """Return the forecast from trials in models that predict equally well."""
-    return forecast_of(trials, [0.1] * len(trials), [False] * len(trials), **keywords)
+    return forecast_of(trials, [0.0] * len(trials), [False] * len(trials), **keywords)
 
 
 def width(*means, luck=(0.0,)):
@@ -136,8 +137,19 @@ def test_models_share_errors_so_the_interval_falls_with_the_fourth_root_of_their
 
 def test_the_interval_reaches_further_down_than_up_as_on_the_cars_of_the_calibration():
     assert foretold([np.full(2, 9.0), np.full(2, 11.0)]) == pytest.approx(
-        (10.0, 10.0 - 2.3 / 2.0**0.25, 10.0 + 1.3 / 2.0**0.25)
+        (10.0, 10.0 - 3.5 / 2.0**0.25, 10.0 + 1.5 / 2.0**0.25)
     )
+
+
+def test_what_models_agree_on_is_less_sure_where_they_predict_badly_and_less_outside_the_data():
+    agreed = [np.full(2, 12.0)] * 2
+    nothing, all_bad = (forecast_of(agreed, [error] * 2, [False] * 2, rest=[2.0, 2.0]) for error in (0.0, 1.0))
+    assert nothing == (12.0, 12.0, 12.0)
+    assert all_bad == pytest.approx((12.0, 12.0 - 3.5 * 0.3 * 10.0, 12.0 + 1.5 * 0.3 * 10.0))
+    assert forecast_of(agreed, [5.0] * 2, [False] * 2, rest=[2.0, 2.0]) == all_bad  # no worse than the mean
+    away = forecast_of(agreed, [0.0] * 2, [False] * 2, rest=[2.0, 2.0], outside=[0.4, 0.6])
+    assert away == pytest.approx((11.0, 11.0 - 3.5 * 0.25 * 5.0, 11.0 + 1.5 * 0.25 * 5.0))
+    assert foretold(agreed, outside=[None, 0.5]) == foretold(agreed, outside=[0.5, 0.5])  # where it is not known
 
 
 def test_the_interval_falls_with_the_root_of_the_number_of_trials():
@@ -221,12 +233,27 @@ def test_a_baseline_is_chosen_only_if_its_forecast_is_higher_than_that_of_every_
 def test_among_those_with_all_the_fitness_there_is_the_one_inside_the_data_is_chosen():
     rows = {name: {"a": 100.0, "b": value} for name, value in (("a", 100.0), ("b", 100.0), ("low", 90.0))}
     made = matrix(rows, against={"low": ("a",)})
-    found = forecasts(made, {})
-    assert best_choice(made, found, {"a": 0.6, "b": 0.2, "low": 0.0}) == "b"
-    assert best_choice(made, found, {"a": 0.1, "b": 0.2, "low": 0.0}) == "a"
-    assert best_choice(made, found) == "a"  # of equals the first
+
+    def chosen(shares, among=made):
+        return best_choice(among, forecasts(among, {}, dict.fromkeys("ab", shares)))
+
+    assert chosen({"a": 0.006, "b": 0.002, "low": 0.0}) == "b"
+    assert chosen({"a": 0.001, "b": 0.002, "low": 0.0}) == "a"
+    assert chosen({"b": 0.001}) == "b"  # what is not known is the last
+    assert chosen({}) == "a"  # of equals the first
     poor = matrix({name: {"a": 10.0, "b": 10.0} for name in "ab"})  # the fitness of trials differs: not everything
-    assert best_choice(poor, forecasts(poor, {}), {"a": 0.6, "b": 0.2}) == "a"
+    assert chosen({"a": 0.0, "b": 0.002}, poor) == "a"
+
+
+def test_the_gain_is_counted_from_controls_at_rest_and_the_share_outside_is_that_of_all_models():
+    rows = {"good": {"good": 9.0, "fair": 9.0}, "rest": {"good": 4.0, "fair": 4.0}}
+    made = matrix(rows, against={"rest": ()})
+    outside = {"good": {"good": 0.6, "rest": 0.0}, "fair": {"good": 0.1}}
+    found = forecasts(made, ERRORS, outside)
+    assert found["good"].outside == pytest.approx((0.6 * 0.5 + 0.1 * 0.25) / 0.75)
+    assert found["good"].value == pytest.approx(9.0 - 0.2 * found["good"].outside * 5.0)
+    assert (found["rest"].value, found["rest"].outside) == (4.0, 0.0)
+    assert forecasts(made, ERRORS)["good"].outside is None
 
 
 DATA = GivenData(example_dataset(), HoldOut()).cell()

@@ -169,8 +169,9 @@ def test_without_controls_at_rest_they_count_as_nothing_unless_fitness_is_negati
 
 def test_a_forecast_for_where_there_are_no_data_comes_with_a_warning_and_no_praise():
     made = idle(1.0, None)
-    card = replace(exploited(model="a"), outside=(("a", 0.37),), outside_held_out=0.02)
-    guess = replace(made, exploitability=(card,))
+    card = replace(exploited(model="a"), controllers=("a",), outside=(("a", 0.37),), outside_held_out=0.02)
+    elsewhere = replace(card, model="b", controllers=("b",), outside=(("a", 0.9),))
+    guess = replace(made, exploitability=(card, elsewhere))
     found = headline(guess, "Which controller")
     assert found.tone == "warn"
     assert "37 % of its time is outside the data: its forecast is an extrapolation." in found.sentence
