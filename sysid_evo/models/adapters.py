@@ -90,7 +90,9 @@ def as_spec(given: object) -> Spec:
             f"expected an unfitted {name}, got a fitted one, which would be fitted again: pass .clone_unfitted()"
         )
     defaults = models.parameters(name)
-    parameters = {key: value for key, value in plain_parameters(model).items() if value != defaults[key]}
+    parameters = {
+        key: value for key, value in plain_parameters(model).items() if key not in defaults or value != defaults[key]
+    }
     try:
         strict_json(parameters)
     except ValueError as error:

@@ -97,9 +97,10 @@ def check_values(family: type, values: Mapping[str, Any]) -> None:
 
 def check_names(family: type, names: Collection[str]) -> None:
     """Raise `UnknownParameter` if one of ``names`` is not a parameter of the constructor of ``family``."""
-    known = list(inspect.signature(family).parameters)
+    signature = inspect.signature(family).parameters
+    known, any_name = list(signature), any(one.kind is one.VAR_KEYWORD for one in signature.values())
     for name in names:
-        if name not in known:
+        if name not in known and not any_name:
             raise UnknownParameter(
                 f"{family.__name__}: there is no parameter {name!r}.{did_you_mean(name, known)} "
                 f"It has: {', '.join(known) or 'none'}."
@@ -183,7 +184,7 @@ class ParameterAccess:
     def __repr__(self) -> str:
         defaults = {name: one.default for name, one in inspect.signature(type(self)).parameters.items()}
         changed = (
-            f"{name}={value!r}" for name, value in self.get_params().items() if repr(value) != repr(defaults[name])
+            f"{name}={value!r}" for name, value in self.get_params().items() if repr(value) != repr(defaults.get(name))
         )
         return f"{type(self).__name__}({', '.join(changed)})"
 

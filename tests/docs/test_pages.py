@@ -60,6 +60,7 @@ BUDGETS = {
         '"sindy": make_model("sindy")': '"sindy": make_model("linear")',
         "        generations=3,\n        trials=3,": f"\n        {SMALL},",
     },
+    "bring_your_model.md": {'"narx", Hist': '"linear", Hist', "    generations=20,": f"    {COMPARISON},"},
     "compare.md": {
         '    task="point_to_point(arena_radius=1.0)",': "",
         "    minutes=1.0,": "    minutes=0.3,",

@@ -16,10 +16,10 @@ from tests.layout import (
 )
 
 HEAVY = {
-    "cobs", "control", "cvxpy", "distributed", "filelock", "gymnasium", "joblib",
+    "cobs", "control", "cvxpy", "distributed", "filelock", "gymnasium", "joblib", "lightgbm",
     "matplotlib", "motioncapture", "mujoco", "natnet", "onnx", "onnxruntime", "optuna", "packaging", "pandas", "psutil",
-    "pyarrow", "pysindy", "ribs", "rich", "scipy", "serial", "sklearn", "starlette", "torch", "torchdiffeq",
-    "uvicorn", "websockets", "xarray",
+    "pyarrow", "pysindy", "ribs", "rich", "scipy", "serial", "skops", "sklearn", "starlette", "torch", "torchdiffeq",
+    "uvicorn", "websockets", "xarray", "xgboost",
 }  # fmt: skip
 """Packages that a function may import, since loading them takes long or they are an extra."""
 

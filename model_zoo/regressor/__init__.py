@@ -1,0 +1,1 @@
+"""Family regressor: any regressor of scikit-learn's interface as a model."""

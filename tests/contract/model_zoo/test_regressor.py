@@ -1,0 +1,278 @@
+"""Regressors of scikit-learn's interface as models: accuracy, storage without pickle, objects, workers, refusals."""
+
+import io
+import json
+import os
+import subprocess
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+from sklearn.cluster import KMeans
+from sklearn.ensemble import (
+    BaggingRegressor,
+    GradientBoostingRegressor,
+    HistGradientBoostingRegressor,
+    RandomForestRegressor,
+    StackingRegressor,
+)
+from sklearn.linear_model import LinearRegression, Ridge
+from sklearn.model_selection import GridSearchCV
+from sklearn.neighbors import KNeighborsRegressor
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import FunctionTransformer, StandardScaler
+from sklearn.utils import all_estimators
+
+from evaluation import compare
+from model_zoo.regressor.estimators import MODULES, _regressors
+from model_zoo.regressor.model import Regressor
+from model_zoo.regressor.stored_estimators import read, written
+from sysid_evo import as_model, load_model, make_model, save_model
+from sysid_evo.errors import ArtefactError, InvalidArgument, MissingExtra, UnknownName, UnknownParameter
+from sysid_evo.models.adapters import as_spec
+from tests.fixtures.systems import chain
+
+skops = pytest.importorskip("skops.io")
+
+NO_LAGS = {"state_lags": 0, "control_lags": 0}
+FORMS = {
+    "skops": "regressor(estimator=GradientBoostingRegressor, n_estimators=3, state_lags=0, control_lags=1)",
+    "lightgbm": "regressor(estimator=LGBMRegressor, n_estimators=3, state_lags=0, control_lags=1)",
+    "xgboost": "regressor(estimator=XGBRegressor, n_estimators=3, state_lags=0, control_lags=1)",
+}
+"""A model for each way to store a regressor."""
+
+
+def made(form):
+    if form != "skops":
+        pytest.importorskip(form)
+    return make_model(FORMS[form])
+
+
+@pytest.mark.parametrize("target", ["change", "next_state"])
+@pytest.mark.parametrize("estimator", ["LinearRegression", LinearRegression(), make_pipeline(LinearRegression())])
+def test_a_linear_regressor_equals_the_linear_family(target, estimator):
+    data = chain(seed=1)
+    ours = make_model("linear", **NO_LAGS).fit(data)
+    found = Regressor(estimator=estimator, target=target, **NO_LAGS).fit(data)
+    run = data.episodes[0]
+    assert np.allclose(found.simulate(run), ours.simulate(run), rtol=1e-9, atol=1e-9)
+
+
+def test_a_fitted_regressor_is_used_as_it_is_and_equals_its_own_predictions(throttle_car_data):
+    run = throttle_car_data.episodes[0]
+    inputs = np.concatenate([run.states[:-1], run.controls], axis=1)
+    forest = RandomForestRegressor(n_estimators=4, random_state=0).fit(inputs, run.states[1:])
+    model = Regressor(estimator=forest, fitted=True, target="next_state").fit(throttle_car_data)
+    low, high = model.state_bounds_
+    state, states = run.states[0], []
+    for control in run.controls[:50]:
+        state = np.clip(forest.predict([[*state, *control]])[0], low, high)
+        states.append(state)
+    assert np.array_equal(model.simulate(run.states[0], run.controls[:50]), states)
+    assert "was fitted in Python before and is used as it is" in model.fit_note
+    assert as_model(forest, fitted=True).target == "change"
+    with pytest.raises(InvalidArgument, match=r"expected a fitted one with the inputs .*expecting 4 features as input"):
+        Regressor(estimator=Ridge().fit(inputs[:, :4], run.states[1:]), fitted=True).fit(throttle_car_data)
+    with pytest.raises(InvalidArgument, match=r"and 3 outputs, got outputs of shape \(2,\)"):
+        Regressor(estimator=Ridge().fit(inputs, run.states[1:, :2]), fitted=True).fit(throttle_car_data)
+    with pytest.raises(InvalidArgument, match="fitted=True: expected a fitted regressor"):
+        as_model(Ridge(), fitted=True)
+
+
+def test_lags_are_chosen_by_the_simulation_error():
+    delayed = make_model("regressor(estimator=Ridge, alpha=1e-6)").fit(chain(seed=2))
+    assert delayed.lags != (0, 0)
+    without = make_model("regressor(estimator=Ridge, alpha=1e-6)", **NO_LAGS).fit(chain(seed=2))
+    assert delayed.score(chain(seed=3)) > without.score(chain(seed=3))
+
+
+def test_the_same_seed_gives_the_same_model_and_another_seed_another(throttle_car_data):
+    spec = "regressor(estimator=RandomForestRegressor, n_estimators=3, state_lags=0, control_lags=0)"
+    stored = [make_model(spec).fit(throttle_car_data, rng=seed).stored_.tobytes() for seed in (0, 0, 1)]
+    assert stored[0] == stored[1] != stored[2]
+
+
+def test_every_regressor_of_scikit_learn_is_found_by_its_name():
+    expected = {name for name, _ in all_estimators(type_filter="regressor")}
+    found = {name for module in MODULES for name in _regressors(module)}
+    ensembles = {"RegressorChain", "MultiOutputRegressor", "StackingRegressor", "VotingRegressor"}
+    assert expected <= found | ensembles
+
+
+SHOWN = [
+    (RandomForestRegressor(n_estimators=50), "regressor(estimator=RandomForestRegressor, n_estimators=50)"),
+    (HistGradientBoostingRegressor(max_iter=20), "regressor(max_iter=20)"),
+]
+
+
+@pytest.mark.parametrize(("thing", "text"), SHOWN)
+def test_an_object_with_plain_settings_becomes_text_that_the_command_line_takes(thing, text):
+    assert as_spec(thing).text == text
+    assert make_model(text).get_params() == as_model(thing).get_params()
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_stored_model_gives_the_same_bits_in_a_fresh_process(form, throttle_car_data, tmp_path):
+    run = throttle_car_data.episodes[0]
+    model = made(form).fit(throttle_car_data)
+    np.savez(tmp_path / "run.npz", x=run.states[:2], u=run.controls[:1], ahead=run.controls[1:])
+    program = (
+        "import sys, numpy as np; from sysid_evo import load_model; a = np.load('run.npz')\n"
+        "sys.stdout.write(load_model('model').simulate(a['x'], a['u'], a['ahead']).tobytes().hex())"
+    )
+    save_model(model, tmp_path / "model")
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout == model.simulate(run.states[:2], run.controls[:1], run.controls[1:]).tobytes().hex()
+
+
+def mutated(form, data, count, rng):
+    """Yield ``data`` with one to four changed bytes, cut off, or with a repeated part."""
+    for _ in range(count):
+        changed = bytearray(data)
+        kind, at = rng.integers(4), int(rng.integers(len(data)))
+        if kind == 0:
+            del changed[at:]
+        elif kind == 1:
+            changed[at:at] = changed[at : at + int(rng.integers(1, 200))]
+        else:
+            for place in rng.integers(len(data), size=rng.integers(1, 5)):
+                changed[place] ^= int(rng.integers(1, 256))
+        yield bytes(changed)
+
+
+@pytest.mark.parametrize("count", [12, pytest.param(500, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("form", FORMS)
+def test_a_changed_file_is_refused_or_right(form, count, throttle_car_data, tmp_path, rng):
+    model = made(form).fit(throttle_car_data)
+    run = throttle_car_data.episodes[0]
+    right = model.simulate(run)
+    path = save_model(model, tmp_path / "model")
+    files = [path, path.with_suffix(".safetensors")]
+    contents = [file.read_bytes() for file in files]
+    for number, (first, second) in enumerate(zip(*(mutated(form, one, count, rng) for one in contents), strict=True)):
+        files[0].write_bytes(first if number % 2 else contents[0])
+        files[1].write_bytes(contents[1] if number % 2 else second)
+        try:
+            found = load_model(path)
+        except ArtefactError:
+            continue
+        assert np.array_equal(found.simulate(run), right)
+
+
+@pytest.mark.parametrize("count", [12, pytest.param(500, marks=pytest.mark.nightly)])
+def test_a_changed_regressor_with_a_right_digest_is_refused_or_right(count, throttle_car_data, rng):
+    model = made("skops").fit(throttle_car_data)
+    inputs = rng.standard_normal((20, len(model.input_centre_)))
+    right = read("skops", model.stored_.tobytes()).predict(inputs)
+    for data in mutated("skops", model.stored_.tobytes(), count, rng):
+        try:
+            assert np.array_equal(read("skops", data).predict(inputs), right)
+        except ArtefactError:
+            continue
+
+
+def with_schema(data, change):
+    """Return skops bytes with another schema, whose checksum is right."""
+    target = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as source, zipfile.ZipFile(target, "w") as changed:
+        for name in source.namelist():
+            content = source.read(name)
+            changed.writestr(name, change(content.decode()).encode() if name == "schema.json" else content)
+    return target.getvalue()
+
+
+@pytest.mark.parametrize("module", ["os", "evil"])
+def test_a_file_that_names_other_code_is_refused_and_nothing_is_imported(module, tmp_path, monkeypatch):
+    (tmp_path / "evil.py").write_text("raise SystemExit('it ran')")
+    monkeypatch.syspath_prepend(tmp_path)
+    _, data = written(Ridge().fit(np.eye(3), np.eye(3)))
+
+    def change(text):
+        schema = json.loads(text)
+        schema["__module__"], schema["__class__"] = module, "system"
+        return json.dumps(schema)
+
+    with pytest.raises(ArtefactError, match=rf"names {module}\.system, not among the trusted types: not loaded"):
+        read("skops", with_schema(data, change))
+    assert "evil" not in sys.modules
+
+
+TREES = [
+    RandomForestRegressor(n_estimators=2),
+    GradientBoostingRegressor(n_estimators=2),
+    HistGradientBoostingRegressor(max_iter=2),
+]
+
+
+@pytest.mark.parametrize("forest", TREES, ids=lambda one: type(one).__name__)
+def test_trees_that_would_be_read_beyond_their_end_are_refused(forest, rng):
+    inputs = rng.standard_normal((100, 3))
+    fitted = forest.fit(inputs, inputs[:, 0])
+    assert np.array_equal(read(*written(fitted)).predict(inputs), fitted.predict(inputs))
+    for name, value in (("left", 10**6), ("left", 0), ("feature", 3)):
+        fitted = forest.fit(inputs, inputs[:, 0])
+        if hasattr(fitted, "_predictors"):
+            fitted._predictors[0][0].nodes["left" if name == "left" else "feature_idx"][0] = value
+        else:
+            tree = np.ravel(fitted.estimators_)[0].tree_
+            (tree.children_left if name == "left" else tree.feature)[0] = value
+        with pytest.raises(ArtefactError, match="expected trees whose nodes refer to later nodes and to its inputs"):
+            read(*written(fitted))
+
+
+def test_a_bag_of_trees_with_some_of_the_inputs_each_is_read(rng):
+    inputs = rng.standard_normal((100, 4))
+    bag = BaggingRegressor(n_estimators=3, max_features=2).fit(inputs, inputs[:, 0])
+    assert np.array_equal(read(*written(bag)).predict(inputs), bag.predict(inputs))
+
+
+def test_what_cannot_be_stored_is_refused_after_the_fit_with_what_to_do(throttle_car_data):
+    with pytest.raises(InvalidArgument, match=r"KDTree is not among the trusted types\. algorithm='brute' avoids it"):
+        Regressor(estimator="KNeighborsRegressor", **NO_LAGS).fit(throttle_car_data)
+    Regressor(estimator=KNeighborsRegressor(algorithm="brute"), **NO_LAGS).fit(throttle_car_data)
+    own = make_pipeline(FunctionTransformer(written), Ridge())
+    with pytest.raises(InvalidArgument, match=r"cannot be|stored_estimators\.written is not among the trusted types"):
+        Regressor(estimator=own, **NO_LAGS).fit(throttle_car_data)
+
+
+def test_wrong_names_and_settings_are_refused_before_the_fit(monkeypatch):
+    with pytest.raises(UnknownName, match=r"called 'RandomForrestRegressor'. Did you mean 'RandomForestRegressor'"):
+        make_model("regressor(estimator=RandomForrestRegressor)")
+    with pytest.raises(UnknownParameter, match=r"Ridge has no parameter 'alfa'. Did you mean 'alpha'"):
+        make_model("regressor(estimator=Ridge, alfa=1)")
+    with pytest.raises(InvalidArgument, match=r"StackingRegressor needs estimators: pass the regressor itself"):
+        make_model("regressor(estimator=StackingRegressor)")
+    with pytest.raises(InvalidArgument, match="alpha: set the parameters of an object before it is passed"):
+        Regressor(estimator=Ridge(), alpha=3)
+    with pytest.raises(InvalidArgument, match=r"recognises \(.*scikit_learn.*\), got a KMeans. This works: models="):
+        as_model(KMeans())
+    model = make_model("regressor(estimator=Ridge, alpha=2.0)")
+    with pytest.raises(UnknownParameter):
+        model.set_params(alfa=1)
+    assert model.set_params(alpha=3.0).get_params()["alpha"] == 3.0
+    monkeypatch.setattr("model_zoo.regressor.estimators.find_spec", lambda name: None)
+    with pytest.raises(MissingExtra, match=r'pip install "sysid-evo\[boosting\]"'):
+        make_model("regressor(estimator=LGBMRegressor)")
+
+
+def test_a_search_keeps_its_best_estimator(throttle_car_data):
+    search = GridSearchCV(make_pipeline(StandardScaler(), Ridge()), {"ridge__alpha": [1e-3, 1e6]}, cv=3)
+    model = Regressor(estimator=search, **NO_LAGS).fit(throttle_car_data)
+    assert read(model.format_, model.stored_.tobytes()).named_steps["ridge"].alpha == 1e-3
+
+
+def test_objects_are_fitted_by_worker_processes_and_found_again(throttle_car_data, tmp_path):
+    models = {"pipe": make_pipeline(StandardScaler(), Ridge()), "stack": StackingRegressor([("a", Ridge())], Ridge())}
+    for _ in range(2):
+        found = compare(throttle_car_data, models=models, stop_after="prediction", out=tmp_path, jobs=2)
+        assert [failure.reason for failure in found.failures] == []
+        assert [model.name for model in found.models] == ["pipe", "stack"]
+    assert len(list((tmp_path / "models").glob("*.json"))) == 2
+    assert "estimator='<Python object Pipeline " in (tmp_path / "experiment.toml").read_text()
+    assert "the regressor was given in Python" in (tmp_path / "report.json").read_text()
+    program = "import sys; from sysid_evo.__main__ import main; sys.exit(main())"
+    arguments = [sys.executable, "-c", program, "report", str(tmp_path)]
+    again = subprocess.run(arguments, env=dict(os.environ), capture_output=True, text=True, check=False)
+    assert again.returncode == 0, again.stderr
