@@ -10,6 +10,7 @@ import io
 import json
 import re
 import zipfile
+from importlib import import_module
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -18,6 +19,7 @@ from model_zoo.regressor.estimators import BOOSTERS
 from sysid_evo.errors import ArtefactError, InvalidArgument
 from sysid_evo.types import Array
 
+SKOPS = "skops.io"
 Format: TypeAlias = Literal["skops", "lightgbm", "xgboost"]
 KERNELS = (
     "CompoundKernel", "ConstantKernel", "DotProduct", "ExpSineSquared", "Exponentiation", "Matern", "PairwiseKernel",
@@ -73,10 +75,8 @@ def written(estimator: Any) -> tuple[Format, bytes]:
         return "lightgbm", json.dumps([one.booster_.model_to_string() for one in inner]).encode()
     if name == "XGBRegressor":
         return "xgboost", json.dumps([bytes(one.get_booster().save_raw("json")).decode() for one in inner]).encode()
-    import skops.io
-
     try:
-        data = _without_addresses(skops.io.dumps(estimator))
+        data = _without_addresses(import_module(SKOPS).dumps(estimator))
         refused = _refused(data)
     except Exception as error:  # an object within the regressor may fail in any way
         raise InvalidArgument(f"{type(estimator).__name__} cannot be stored by skops: {error}") from error
@@ -124,34 +124,27 @@ def read(format_: str, data: bytes) -> Any:
 
 
 def _by_skops(data: bytes) -> Any:
-    import skops.io
-
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
             raise ArtefactError("the stored regressor: expected files without compression")
     refused = _refused(data)
     if refused:
         raise ArtefactError(f"the stored regressor names {', '.join(refused)}, not among the trusted types: not loaded")
-    found = skops.io.loads(data, trusted=sorted(TRUSTED))
+    found = import_module(SKOPS).loads(data, trusted=sorted(TRUSTED))
     check_trees(found)
     return found
 
 
 def _refused(data: bytes) -> list[str]:
     """Return the types in ``data`` that are not trusted; none of them is imported."""
-    import skops.io
-
-    return sorted(set(skops.io.get_untrusted_types(data=data)) - TRUSTED)
+    return sorted(set(import_module(SKOPS).get_untrusted_types(data=data)) - TRUSTED)
 
 
 def _boosters(package: str, texts: list[str]) -> Boosters:
+    module = import_module(package)
     if package == "lightgbm":
-        import lightgbm
-
-        return Boosters(package, [lightgbm.Booster(model_str=text) for text in texts])
-    import xgboost
-
-    found = [xgboost.Booster({"nthread": 1}) for _ in texts]
+        return Boosters(package, [module.Booster(model_str=text) for text in texts])
+    found = [module.Booster({"nthread": 1}) for _ in texts]
     for booster, text in zip(found, texts, strict=True):
         booster.load_model(bytearray(text.encode()))
     return Boosters(package, found)
