@@ -1,16 +1,27 @@
-"""Regressors of scikit-learn, LightGBM and XGBoost: by class name, with settings, for several outputs."""
+"""Regressors of scikit-learn, LightGBM and XGBoost: by class name, fitted to several outputs, as bytes in files.
+
+Nothing is unpickled. skops makes objects of the types that a file names only if these are trusted: those that it trusts
+itself, and `TRUSTED`, which the regressors of scikit-learn need in addition. The nodes of trees are checked before they
+are used. Boosters are stored in the text format of their package.
+"""
 
 from __future__ import annotations
 
-import importlib
 import inspect
+import io
+import json
+import re
 import warnings
+import zipfile
 from collections.abc import Mapping
 from functools import cache
+from importlib import import_module
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
-from sysid_evo.errors import InvalidArgument, UnknownName, UnknownParameter, did_you_mean
+import numpy as np
+
+from sysid_evo.errors import ArtefactError, InvalidArgument, UnknownName, UnknownParameter, did_you_mean
 from sysid_evo.extras import missing_extra
 from sysid_evo.models import bases_of
 from sysid_evo.types import Array
@@ -22,6 +33,31 @@ MODULES = (
 """Modules of scikit-learn with regressors; ``sklearn.utils.all_estimators`` finds the same, but imports everything."""
 BOOSTERS = {"LGBMRegressor": "lightgbm", "XGBRegressor": "xgboost"}
 """Regressors of other packages, which are stored in the text format of their package."""
+SKOPS = "skops.io"
+Format: TypeAlias = Literal["skops", "lightgbm", "xgboost"]
+KERNELS = (
+    "CompoundKernel", "ConstantKernel", "DotProduct", "ExpSineSquared", "Exponentiation", "Matern", "PairwiseKernel",
+    "Product", "RBF", "RationalQuadratic", "Sum", "WhiteKernel",
+)  # fmt: skip
+LOSSES = (
+    "AbsoluteError", "HalfGammaLoss", "HalfPoissonLoss", "HalfSquaredError", "HalfTweedieLoss",
+    "HalfTweedieLossIdentity", "HuberLoss", "PinballLoss",
+)  # fmt: skip
+TRUSTED = frozenset({
+    "sklearn.utils._bunch.Bunch",
+    "sklearn.tree._tree.Tree",
+    "sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor",
+    "sklearn.neural_network._stochastic_optimizers.AdamOptimizer",
+    "sklearn.neural_network._stochastic_optimizers.SGDOptimizer",
+    *(f"sklearn.gaussian_process.kernels.{name}" for name in KERNELS),
+    *(f"sklearn._loss.loss.{name}" for name in LOSSES),
+})  # fmt: skip
+"""Types of scikit-learn that skops does not trust by itself. Trees are checked, the others compute in NumPy."""
+INSTEAD = {
+    "sklearn.neighbors._kd_tree.KDTree": "algorithm='brute'",
+    "sklearn.neighbors._ball_tree.BallTree": "algorithm='brute'",
+}
+"""Settings that avoid a type that is not trusted."""
 
 
 def estimator_class(name: str) -> Any:
@@ -29,7 +65,7 @@ def estimator_class(name: str) -> Any:
     if name in BOOSTERS:
         if find_spec(BOOSTERS[name]) is None:
             raise missing_extra(name, BOOSTERS[name])
-        return getattr(importlib.import_module(BOOSTERS[name]), name)
+        return getattr(import_module(BOOSTERS[name]), name)
     for module in MODULES:
         found = _regressors(module).get(name)
         if found is not None:
@@ -45,7 +81,7 @@ def estimator_class(name: str) -> Any:
 def _regressors(module: str) -> dict[str, Any]:
     from sklearn.base import RegressorMixin
 
-    found = vars(importlib.import_module(f"sklearn.{module}"))
+    found = vars(import_module(f"sklearn.{module}"))
     return {name: one for name, one in found.items() if isinstance(one, type) and issubclass(one, RegressorMixin)}
 
 
@@ -107,3 +143,147 @@ def fitted_estimator(unfitted: Any, inputs: Array, targets: Array, seed: int) ->
         made.estimators_ = [getattr(one, "best_estimator_", one) for one in made.estimators_]
         made.estimator = clone(made.estimators_[0])
     return getattr(made, "best_estimator_", made), not diverged
+
+
+class Boosters:
+    """Fitted boosters of LightGBM or XGBoost, one for each output."""
+
+    def __init__(self, package: str, boosters: list[Any]) -> None:
+        self.package, self.boosters = package, boosters
+
+    @property
+    def n_features_in_(self) -> int:
+        """Number of inputs."""
+        first = self.boosters[0]
+        return int(first.num_feature() if self.package == "lightgbm" else first.num_features())
+
+    def predict(self, inputs: Array) -> Array:
+        """Return the outputs (B, n) at ``inputs`` (B, m)."""
+        if self.package == "lightgbm":
+            columns = [booster.predict(inputs, num_threads=1) for booster in self.boosters]
+        else:
+            columns = [booster.inplace_predict(inputs) for booster in self.boosters]
+        return np.column_stack(columns).astype(np.float64)
+
+
+def written(estimator: Any) -> tuple[Format, bytes]:
+    """Return format and bytes of a fitted regressor. Raises `InvalidArgument` if it cannot be stored."""
+    inner = getattr(estimator, "estimators_", [estimator])
+    name = type(inner[0]).__name__ if len(inner) else ""
+    if name == "LGBMRegressor":
+        return "lightgbm", json.dumps([one.booster_.model_to_string() for one in inner]).encode()
+    if name == "XGBRegressor":
+        return "xgboost", json.dumps([bytes(one.get_booster().save_raw("json")).decode() for one in inner]).encode()
+    try:
+        data = _without_addresses(import_module(SKOPS).dumps(estimator))
+        refused = _refused(data)
+    except Exception as error:  # an object within the regressor may fail in any way
+        raise InvalidArgument(f"{type(estimator).__name__} cannot be stored by skops: {error}") from error
+    if refused:
+        boosters = [one for one in BOOSTERS if any(type_.endswith(f".{one}") for type_ in refused)]
+        instead = next((INSTEAD[one] for one in refused if one in INSTEAD), None)
+        hint = f". Pass {boosters[0]} itself: inputs and outputs are scaled anyway" if boosters else ""
+        hint = f". {instead} avoids it" if instead else hint
+        raise InvalidArgument(
+            f"{type(estimator).__name__} cannot be stored: {', '.join(refused)} is not among the trusted types{hint}"
+        )
+    return "skops", data
+
+
+ADDRESS = re.compile(r'(?<="__id__": )\d+|(?<="file": ")\d+')
+
+
+def _without_addresses(data: bytes) -> bytes:
+    """Return the archive of skops without addresses in memory and times: the same for equal regressors."""
+    numbers: dict[str, str] = {}
+    target = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as source, zipfile.ZipFile(target, "w") as changed:
+        schema = source.read("schema.json").decode()
+        schema = ADDRESS.sub(lambda found: numbers.setdefault(found[0], str(len(numbers))), schema)
+        changed.writestr(zipfile.ZipInfo("schema.json"), schema)
+        for name in source.namelist():
+            stem, dot, suffix = name.partition(".")
+            if name != "schema.json":
+                changed.writestr(zipfile.ZipInfo(numbers.get(stem, stem) + dot + suffix), source.read(name))
+    return target.getvalue()
+
+
+def read(format_: str, data: bytes) -> Any:
+    """Return the regressor of these bytes. Raises `ArtefactError`, with the types that are not trusted."""
+    try:
+        if format_ == "skops":
+            return _by_skops(data)
+        if format_ in ("lightgbm", "xgboost"):
+            return _boosters(format_, json.loads(data))
+    except ArtefactError:
+        raise
+    except Exception as error:  # a damaged file may fail anywhere
+        raise ArtefactError(f"the stored regressor cannot be read: {type(error).__name__}: {error}") from error
+    raise ArtefactError(f"the stored regressor: expected the format skops, lightgbm or xgboost, got {format_!r}")
+
+
+def _by_skops(data: bytes) -> Any:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
+            raise ArtefactError("the stored regressor: expected files without compression")
+    refused = _refused(data)
+    if refused:
+        raise ArtefactError(f"the stored regressor names {', '.join(refused)}, not among the trusted types: not loaded")
+    found = import_module(SKOPS).loads(data, trusted=sorted(TRUSTED))
+    check_trees(found)
+    return found
+
+
+def _refused(data: bytes) -> list[str]:
+    """Return the types in ``data`` that are not trusted; none of them is imported."""
+    return sorted(set(import_module(SKOPS).get_untrusted_types(data=data)) - TRUSTED)
+
+
+def _boosters(package: str, texts: list[str]) -> Boosters:
+    module = import_module(package)
+    if package == "lightgbm":
+        return Boosters(package, [module.Booster(model_str=text) for text in texts])
+    found = [module.Booster({"nthread": 1}) for _ in texts]
+    for booster, text in zip(found, texts, strict=True):
+        booster.load_model(bytearray(text.encode()))
+    return Boosters(package, found)
+
+
+def check_trees(estimator: Any) -> None:
+    """Raise `ArtefactError` unless the nodes of all trees of a regressor refer to later nodes and to its inputs."""
+    open_, seen = [(estimator, 0)], set()
+    while open_:
+        thing, inputs = open_.pop()
+        if isinstance(thing, (str, bytes, int, float, type(None))) or id(thing) in seen:
+            continue
+        seen.add(id(thing))
+        kind = type(thing).__name__
+        if kind == "Tree":
+            inner = thing.children_left >= 0
+            children = (thing.children_left[inner], thing.children_right[inner])
+            _check_nodes(children, thing.feature[inner], inner, thing.n_features, inputs)
+        elif kind == "TreePredictor":
+            inner = thing.nodes["is_leaf"] == 0
+            nodes = thing.nodes[inner]
+            _check_nodes((nodes["left"], nodes["right"]), nodes["feature_idx"], inner, inputs, inputs)
+            if thing.nodes["is_categorical"].any():
+                raise ArtefactError("the stored regressor: expected trees without categories")
+        elif isinstance(thing, dict):
+            open_ += [(value, inputs) for value in thing.values()]
+        elif isinstance(thing, (list, tuple)) or (isinstance(thing, np.ndarray) and thing.dtype == object):
+            open_ += [(value, inputs) for value in np.asarray(thing, dtype=object).ravel()]
+        elif hasattr(thing, "__dict__"):
+            own = int(getattr(thing, "n_features_in_", inputs))
+            parts = thing.__dict__.get("estimators_")
+            if parts is not None and "estimators_features_" not in thing.__dict__:
+                trees = [one for one in np.asarray(parts, dtype=object).ravel() if hasattr(one, "tree_")]
+                if any(one.tree_.n_features != own for one in trees):
+                    raise ArtefactError(f"the stored regressor: expected trees of {own} inputs")
+            open_ += [(value, own) for value in thing.__dict__.values()]
+
+
+def _check_nodes(children: tuple[Any, Any], features: Any, inner: Any, n_features: int, inputs: int) -> None:
+    places, count = np.flatnonzero(inner), len(inner)
+    later = all(((one > places) & (one < count)).all() for one in children)
+    if not (count and later and n_features == inputs and ((features >= 0) & (features < inputs)).all()):
+        raise ArtefactError("the stored regressor: expected trees whose nodes refer to later nodes and to its inputs")

@@ -25,9 +25,8 @@ from sklearn.preprocessing import FunctionTransformer, StandardScaler
 from sklearn.utils import all_estimators
 
 from evaluation import compare
-from model_zoo.regressor.estimators import MODULES, _regressors
+from model_zoo.regressor.estimators import MODULES, _regressors, read, written
 from model_zoo.regressor.model import Regressor
-from model_zoo.regressor.stored_estimators import read, written
 from sysid_evo import as_model, load_model, make_model, save_model
 from sysid_evo.errors import ArtefactError, InvalidArgument, MissingExtra, UnknownName, UnknownParameter
 from sysid_evo.models.adapters import as_spec
@@ -233,7 +232,7 @@ def test_what_cannot_be_stored_is_refused_after_the_fit_with_what_to_do(throttle
         Regressor(estimator="KNeighborsRegressor", **NO_LAGS).fit(throttle_car_data)
     Regressor(estimator=KNeighborsRegressor(algorithm="brute"), **NO_LAGS).fit(throttle_car_data)
     own = make_pipeline(FunctionTransformer(written), Ridge())
-    with pytest.raises(InvalidArgument, match=r"cannot be|stored_estimators\.written is not among the trusted types"):
+    with pytest.raises(InvalidArgument, match=r"cannot be|estimators\.written is not among the trusted types"):
         Regressor(estimator=own, **NO_LAGS).fit(throttle_car_data)
 
 
