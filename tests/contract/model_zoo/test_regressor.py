@@ -25,8 +25,8 @@ from sklearn.preprocessing import FunctionTransformer, StandardScaler
 from sklearn.utils import all_estimators
 
 from evaluation import compare
-from model_zoo.regressor.estimators import MODULES, _regressors, read, written
-from model_zoo.regressor.model import Regressor
+from model_zoo.estimators import MODULES, _regressors, read, written
+from model_zoo.regressor import Regressor
 from sysid_evo import as_model, load_model, make_model, save_model
 from sysid_evo.errors import ArtefactError, InvalidArgument, MissingExtra, UnknownName, UnknownParameter
 from sysid_evo.models.adapters import as_spec
@@ -251,7 +251,7 @@ def test_wrong_names_and_settings_are_refused_before_the_fit(monkeypatch):
     with pytest.raises(UnknownParameter):
         model.set_params(alfa=1)
     assert model.set_params(alpha=3.0).get_params()["alpha"] == 3.0
-    monkeypatch.setattr("model_zoo.regressor.estimators.find_spec", lambda name: None)
+    monkeypatch.setattr("model_zoo.estimators.find_spec", lambda name: None)
     with pytest.raises(MissingExtra, match=r'pip install "sysid-evo\[boosting\]"'):
         make_model("regressor(estimator=LGBMRegressor)")
 

@@ -9,8 +9,8 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
+from model_zoo.estimators import estimator_class, fitted_estimator, make_estimator, read, written
 from model_zoo.features import Features, between_limits, integrals, next_state
-from model_zoo.regressor.estimators import estimator_class, fitted_estimator, make_estimator, read, written
 from model_zoo.scaling import deviation
 from sysid_evo import Adapter, Dataset, DynamicsModel, register_adapter, register_model
 from sysid_evo.errors import InvalidArgument, ShapeError, UnknownName

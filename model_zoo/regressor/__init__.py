@@ -1,1 +1,0 @@
-"""Family regressor: any regressor of scikit-learn's interface as a model."""
