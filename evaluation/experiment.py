@@ -135,6 +135,10 @@ class Experiment(BaseModel):
     generations: Positive | None = setting(None, "Generations of each evolution", "Budget", "N")
     trials: Positive | None = setting(None, "Trials per candidate and generation", "Budget", "N")
     repeats: Positive | None = setting(None, "Independent evolutions; the best one is kept", "Budget", "N")
+    search_minutes: float = setting(
+        10.0, "Minutes of one processor for each search in a model without compiled form, which limit its generations",
+        "Budget", "N", gt=0.0,
+    )  # fmt: skip
     polish_generations: Positive | None = setting(
         None, "Generations of the evolution on all models that ends the search"
     )
@@ -147,6 +151,7 @@ class Experiment(BaseModel):
     seed: int = setting(0, "Seed of all random numbers", "Run", "N", ge=0)
     plugins: tuple[str, ...] = setting((), "Python file with plugins; repeatable", "Run", "FILE", option="--plugin")
     tried_models: tuple[str, ...] = setting((), "Written by the program: families tried because no other predicted")
+    step_seconds: dict[str, float] = setting({}, "Written by the program: seconds of a step of models not compiled")
     data_digest: str | None = setting(None, "Written by the program: identifies the data of a run")
 
     @classmethod
@@ -200,7 +205,8 @@ Settings = TypedDict("Settings", {  # noqa: UP013  # several in a line
     "stop_after": Literal["fit", "prediction"] | None, "task": str | None, "controller": str | None,
     "baselines": Sequence[str], "strategy": str | None, "procedure": Procedure | None, "aggregate": str,
     "noise": str | None, "penalty": str, "starts": str | None, "schedule": str, "generations": int | None,
-    "trials": int | None, "repeats": int | None, "polish_generations": int | None, "selection_trials": int,
+    "search_minutes": float, "trials": int | None, "repeats": int | None, "polish_generations": int | None,
+    "selection_trials": int,
     "estimator_delay": float, "transfer_trials": int, "traces": int, "reference": bool | None, "seed": int,
     "rounds": int | None, "command_noise": float, "max_steps": int, "plugins": Sequence[str | Path],
 }, total=False)  # fmt: skip
@@ -208,9 +214,8 @@ Settings = TypedDict("Settings", {  # noqa: UP013  # several in a line
 
 OF_CONTROLLERS = (
     "task", "controller", "baselines", "strategy", "procedure", "aggregate", "noise", "penalty", "starts", "schedule",
-    "generations", "trials", "repeats", "polish_generations", "selection_trials", "estimator_delay", "transfer_trials",
-    "traces", "reference",
-    "ensembles", "rounds", "command_noise", "max_steps",
+    "generations", "search_minutes", "trials", "repeats", "polish_generations", "selection_trials", "estimator_delay",
+    "transfer_trials", "traces", "reference", "ensembles", "rounds", "command_noise", "max_steps",
 )  # fmt: skip
 NO_CONTROLLERS = {"stop_after": ("fit", "prediction")}
 

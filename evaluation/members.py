@@ -9,7 +9,7 @@ from typing import Any
 
 from evaluation.cells.models import Predict, StoredModelCell
 from evaluation.cells.plants import Plant, emulated, runner_of
-from evaluation.experiment import FILE, default_task
+from evaluation.experiment import FILE, Experiment, default_task
 from evaluation.planning import comparison_of
 from evaluation.run_folder import is_run, latest_run_folder, run_of_controller
 from evaluation.transfer.matrix import TransferMatrix, transfer_seeds, try_controller
@@ -247,11 +247,13 @@ def find_column(store: Store, name: str) -> Plant:
 def column_of(store: Store, record: CellRecord) -> Plant:
     """Return the model of a run as a column, with the cell of its prediction error on held-out data."""
     model, family = stored(record), record.inputs["model"]["name"]
+    times = Experiment.read(store.path).get("step_seconds", {}) if (store.path / FILE).is_file() else {}
+    slow = next((seconds for text, seconds in times.items() if Spec.parse(text).label == record.name), 0.0)
     data = data_of(store, record)
     if data is None or not any(data.settings.inputs()["split"].values()):
-        return Plant(record.name, family, model=model)
+        return Plant(record.name, family, model=model, slow=slow)
     prediction = Predict(record.name, family, data, model).cell()
-    return Plant(record.name, family, model=model, prediction=prediction)
+    return Plant(record.name, family, model=model, prediction=prediction, slow=slow)
 
 
 def data_of(store: Store, model: CellRecord) -> Cell | None:

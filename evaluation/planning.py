@@ -25,6 +25,8 @@ from evaluation.cells.learned_task import LearnTask, learning_cell, needed
 from evaluation.cells.models import Fit, LeaveConditionsOut, Predict, ScoreFit
 from evaluation.cells.plants import SLOW, Plant, runner_of
 from evaluation.cells.rounds import ChooseRound, Round, RoundData, default_rounds, last_round
+from evaluation.cells.slow_models import slow_remarks, times_of_steps
+from evaluation.chosen_models import ALL, ensembles_of, made, made_model, models_of, requested_models, without_preset
 from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, FILE, Experiment, check_settings, with_rounds, with_task
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
 from evaluation.prediction.scores import PERSISTENCE
@@ -38,24 +40,18 @@ from sysid_evo.errors import (
     IncompatibleTask,
     InvalidArgument,
     InvalidData,
-    MissingExtra,
-    SysidEvoError,
     UnknownName,
-    described,
 )
 from sysid_evo.evolution import Champion, ControllerEvolution
 from sysid_evo.evolution.aggregates import make_aggregate
 from sysid_evo.evolution.controller_evolution import recorded_state_range, simulated_state_range
-from sysid_evo.models import DynamicsModel
 from sysid_evo.plan import Cell, Plan, Store, stored
 from sysid_evo.registry import (
-    Registry,
     Spec,
     check_labels,
     controllers,
     load_named_plugins,
     make_robot,
-    models,
     robot_spec,
     robots,
     tasks,
@@ -123,6 +119,7 @@ def plan_comparison(
     _constructible(evolution)
     first = data = held[0] if held is not None else _data(experiment, robot, dataset, whole=in_rounds)
     specs = models_of(experiment, system, remarks)
+    slow = _slow(experiment, specs, system, dataset, held is not None)
     ensembles = ensembles_of(experiment, tuple(spec.label for spec in specs))
     last = last_round(experiment, _robot_column(experiment, robot, system, []), first, specs) if in_rounds else None
     if last is not None:
@@ -144,12 +141,21 @@ def plan_comparison(
         # recorded here, or when the run was made
         recorded = "robot" in data.settings.inputs()
         reference = _has_reference(experiment, column, remarks, recorded=recorded)
+        plants = tuple(
+            Plant(
+                label,
+                fit.settings.spec.name,
+                fit,
+                prediction=predictions[label],
+                slow=slow.get(str(fit.settings.spec), 0.0),
+            )
+            for label, fit in fits.items()
+        )
+        remarks += slow_remarks(experiment, plants)
         matrix = _matrix(
             experiment,
             evolution,
-            tuple(
-                Plant(label, fit.settings.spec.name, fit, prediction=predictions[label]) for label, fit in fits.items()
-            ),
+            plants,
             column,
             ensembles,
             tuple(measured),
@@ -172,6 +178,7 @@ def plan_comparison(
             "models": tuple(map(str, specs)),
             "ensembles": tuple("+".join(members) for members in ensembles),
             "robot": None if robot is None else experiment.robot or DEFAULT_ROBOT,
+            "step_seconds": slow,
             "data_digest": first.digest,
         }
     )
@@ -196,6 +203,16 @@ def plan_comparison(
         learned,
         last,
     )
+
+
+def _slow(
+    experiment: Experiment, specs: tuple[Spec, ...], system: System, dataset: Dataset | None, known: bool
+) -> dict[str, float]:
+    """Return the seconds of a step of models that are not compiled; of a run that exists, those found when it began."""
+    if known or experiment.stop_after is not None:
+        return dict(experiment.step_seconds)
+    steps = round(60.0 * experiment.minutes / system.dt) if dataset is None else dataset.n_steps
+    return times_of_steps(specs, system, dataset, steps, experiment.step_seconds)
 
 
 def comparison_of(run: Path) -> tuple[Comparison, tuple[str, ...]]:
@@ -486,111 +503,3 @@ def _matrix(
         for column in columns
     )
     return PlannedMatrix(champions, columns, runs, None if robot is None else robot.label, measured)
-
-
-ALL = "all"
-
-PAPER_FAMILIES = ("backprop27", "evolved3", "nearest_neighbour", "parametrised")
-OTHER_FAMILIES = (*PAPER_FAMILIES, "sindy", "narx", "mlp_ensemble")
-"""Families that are compared by default; with the preset ``paper`` only those of the paper."""
-TURNING_FAMILIES = ("backprop27", "nearest_neighbour", "sindy", "narx", "mlp_ensemble")
-"""Default families if a state is periodic: those that predict well on the emulated pendulum and cart-pole."""
-DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_neighbour", "parametrised"))
-"""The two multi-model controllers of the paper, mm1c and, as far as its text describes it, mm2c."""
-
-
-def requested_models(experiment: Experiment) -> tuple[Spec, ...] | None:
-    """Return the specs of the models that are named, None if the choice is left open."""
-    if experiment.models is None or experiment.models == (ALL,):
-        return None
-    if not experiment.models:
-        raise InvalidArgument("models: expected at least one family, got none; leave --models out for the default ones")
-    return check_labels(tuple(Spec.parse(text) for text in experiment.models))
-
-
-def models_of(experiment: Experiment, system: System, remarks: list[str]) -> tuple[Spec, ...]:
-    """Return the specs of the models, complete with the preset; default families that cannot run give remarks."""
-    requested = requested_models(experiment)
-    if requested is not None:
-        return tuple(_usable(spec, experiment.preset, system) for spec in requested)
-    usual: tuple[str, ...] = PAPER_FAMILIES if experiment.preset == "paper" else OTHER_FAMILIES
-    if system.periods and usual is OTHER_FAMILIES and experiment.models is None:
-        usual = TURNING_FAMILIES
-        turning = ", ".join(channel.name for channel in system.states if channel.period)
-        remarks.append(f"evolved3 is left out: it predicts badly where {turning} wraps around. Name it to include it")
-    found = []
-    for name in models.names() if experiment.models == (ALL,) else usual:
-        try:
-            found.append(_usable(Spec(name), experiment.preset, system))
-        except (MissingExtra, IncompatibleSystem) as error:
-            remarks.append(f"{name} is left out: {error}")
-    if not found:
-        raise InvalidArgument(f"none of the default families can be compared here: {'; '.join(remarks)}")
-    return tuple(found)
-
-
-def _usable(spec: Spec, preset: str, system: System) -> Spec:
-    """Return ``spec`` with its preset. Raises if it cannot be made, or cannot describe ``system``."""
-    whole, model = made_model(spec, preset)
-    model.check_system(system)
-    return whole
-
-
-def made_model(spec: Spec, preset: str) -> tuple[Spec, DynamicsModel]:
-    """Return ``spec`` with its preset, and the model that it makes. Raises if it cannot be made here."""
-    models.check(spec)
-    lacking = models.missing_package(spec.name)
-    if lacking is not None:
-        raise lacking
-    whole = with_preset(spec, preset)
-    model: DynamicsModel = made(models, whole)
-    return whole, model
-
-
-def ensembles_of(experiment: Experiment, labels: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
-    """Return the members of each ensemble; ensembles that differ only in order are one."""
-    if experiment.stop_after is not None:
-        return ()
-    if experiment.ensembles is None:
-        chosen = tuple(members for members in DEFAULT_ENSEMBLES if set(members) <= set(labels))
-        return chosen or ((labels,) if len(labels) > 1 else ())
-    requested = [_ensemble(text, labels) for text in experiment.ensembles]
-    return tuple({frozenset(members): members for members in reversed(requested)}.values())[::-1]
-
-
-def _ensemble(text: str, labels: tuple[str, ...]) -> tuple[str, ...]:
-    members = tuple(member.strip() for member in text.split("+"))
-    if len(members) < 2:
-        raise InvalidArgument(
-            f"ensemble {text!r}: expected two or more models joined by +, such as {'+'.join(labels[:2])}; "
-            "every single model is compared anyway"
-        )
-    unknown = [member for member in members if member not in labels]
-    if unknown:
-        raise InvalidArgument(f"ensemble {text!r} names {', '.join(unknown)}, but the models are {', '.join(labels)}")
-    if len(set(members)) < len(members):
-        raise InvalidArgument(f"ensemble {text!r} names a model twice")
-    return members
-
-
-def made(registry: Registry[Any], spec: Spec) -> Any:
-    try:
-        return registry.make(spec)
-    except SysidEvoError:
-        raise
-    except Exception as error:  # a constructor may fail in any way when its values are wrong
-        raise InvalidArgument(f"{registry.kind} {spec}: {described(error)}") from error
-
-
-def with_preset(spec: Spec, preset: str) -> Spec:
-    """Return the spec of a model with the values of its family's preset; its own parameters take precedence."""
-    family: Any = models.get(spec.name)
-    return spec.with_parameters(**family.presets.get(preset, {}))
-
-
-def without_preset(spec: Spec, preset: str) -> Spec:
-    """Return the spec of a model without the values that its family has from ``preset``."""
-    family: Any = models.get(spec.name)
-    brought = family.presets.get(preset, {})
-    own = {key: value for key, value in spec.parameters.items() if key not in brought or value != brought[key]}
-    return Spec(spec.name, own, spec.label)

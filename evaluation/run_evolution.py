@@ -13,6 +13,7 @@ from evaluation.cells.assessment import Run, SearchExploit
 from evaluation.cells.controllers import Choose, ControllerCell, Polish, controller_cell, evolution_settings
 from evaluation.cells.learned_task import LearnTask, learning_cell
 from evaluation.cells.plants import Plant
+from evaluation.cells.slow_models import slow_remarks
 from evaluation.experiment import FILE, Experiment, with_task
 from evaluation.exploitability.assessment import assess_exploitability
 from evaluation.exploitability.results import ModelExploitability
@@ -99,7 +100,10 @@ def plan_evolution(experiment: Experiment, store: Store, members: Sequence[str])
     robots = [column.robot for column in columns]
     task = experiment.task or _settings(store).get("task")
     experiment = with_task(experiment.model_copy(update={"task": task}), robots)
-    remarks = check_evolution(store, columns, evolution_settings(experiment))
+    remarks = (
+        *check_evolution(store, columns, evolution_settings(experiment)),
+        *slow_remarks(experiment, columns),
+    )
     others = other_models(store, columns)
     learned = _learned(evolution_settings(experiment).task, store)
     champion = controller_cell(experiment, columns, scoring_models=columns + others, learned=learned)

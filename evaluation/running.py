@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any, Unpack
 
 from evaluation.cells.models import Fit, Predict
+from evaluation.chosen_models import models_of
 from evaluation.experiment import FILE, Experiment, Settings
-from evaluation.planning import Comparison, check_experiment, models_of, plan_comparison
+from evaluation.planning import Comparison, check_experiment, plan_comparison
 from evaluation.prediction.cases import measured_cases
 from evaluation.prediction.scores import PERSISTENCE, ModelPrediction, Prediction
 from evaluation.report.report import PrintedReport, save_report
@@ -156,6 +157,9 @@ def plan_run(
     if dataset is None and experiment.data is not None:
         dataset = Dataset.read(experiment.data, columns=experiment.columns)
     measured, damaged = load_measured(folder)
+    if (folder / FILE).is_file():  # so that the plan of a run that was interrupted is the same
+        times = {**Experiment.read(folder).get("step_seconds", {}), **experiment.step_seconds}
+        experiment = experiment.model_copy(update={"step_seconds": times})
     comparison = plan_comparison(experiment, dataset=dataset, measured=measured)
     return comparison, (*(dataset.notes if dataset else ()), *comparison.plan.remarks, *damaged)
 

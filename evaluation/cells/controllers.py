@@ -18,6 +18,7 @@ from evaluation.cells.plants import (
     prediction_error,
     runners,
 )
+from evaluation.cells.slow_models import limited
 from evaluation.experiment import DEFAULT_TASK, NONE, Experiment
 from evaluation.transfer.forecast import FORECAST_RULE, forecast_judgement
 from sysid_evo.artefacts import CheckpointFile
@@ -390,9 +391,10 @@ def usual_starts(experiment: Experiment, task: Spec) -> str:
 def evolution_on(experiment: Experiment, members: tuple[Plant, ...]) -> ControllerEvolution:
     """Return the settings of evolution on ``members``; with robots among them noise is used only if it is asked for.
 
-    Aggregates that are equivalent on a single model are replaced by one of them there.
+    Aggregates that are equivalent on a single model are replaced by one of them there. Searches in models that are not
+    compiled have fewer generations (`limited`).
     """
-    evolution = evolution_settings(experiment)
+    evolution = evolution_settings(limited(experiment, members))
     if len(members) == 1 and Spec.parse(evolution.aggregate).name in EQUIVALENT_AGGREGATES:
         evolution = replace(evolution, aggregate=SINGLE_MODEL_AGGREGATE)
     if experiment.noise is None and any(member.robot is not None for member in members):
@@ -433,7 +435,7 @@ def controller_cell(
         chosen,
         members,
         evolution,
-        experiment.budget.polish_generations,
+        limited(experiment, members).budget.polish_generations,
         MOST_POLISHED,
         experiment.seed,
         name,

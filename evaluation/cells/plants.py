@@ -30,7 +30,8 @@ class Plant:
     """A column of the transfer matrix: the model of the cell ``model``, or the ``robot``.
 
     ``family`` is the registered name of a model's family; a robot is its own family. ``prediction`` is the cell of
-    the model's prediction error, where there is one.
+    the model's prediction error, where there is one. ``slow`` are the seconds of one step of one trial of a model that
+    is not compiled, 0 for others.
     """
 
     label: str
@@ -38,6 +39,7 @@ class Plant:
     model: Cell | None = None
     robot: Spec | None = None
     prediction: Cell | None = None
+    slow: float = 0.0
 
     @property
     def needs(self) -> tuple[Cell, ...]:
@@ -78,7 +80,7 @@ class Plant:
 
     def step_seconds(self) -> float:
         """Return the approximate seconds of one step of one trial."""
-        return self.timed or 1.0 / ROLLOUT_STEPS_PER_SECOND
+        return self.slow or self.timed or 1.0 / ROLLOUT_STEPS_PER_SECOND
 
     def runner(self, work: CellContext, *, delay: float) -> Runner:
         """Return the runner of this column, with states observed ``delay`` s late."""

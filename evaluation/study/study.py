@@ -200,7 +200,7 @@ def _plain(value: Any) -> Any:
 RANGE = re.compile(r"(?P<before>[^.]*?)(?P<first>\d+)\.\.(?P<last>\d+)(?P<after>[^.]*)")
 RANGED = ("seed", "robot")
 """Settings whose values may be ranges."""
-LEFT_OUT = ("title", "data_digest", "tried_models", "plugins")
+LEFT_OUT = ("title", "data_digest", "tried_models", "step_seconds", "plugins")
 """Settings that cannot be an axis: without effect, written by the program, or common to all points."""
 
 

@@ -27,7 +27,7 @@ def systems() -> list[str]:
 
 EVOLUTION = (
     "task", "controller", "strategy", "procedure", "aggregate", "starts", "schedule", "noise", "penalty",
-    "estimator_delay", "preset", "generations", "trials", "repeats", "seed", "plugins",
+    "estimator_delay", "preset", "generations", "search_minutes", "trials", "repeats", "seed", "plugins",
 )  # fmt: skip
 """The settings of a comparison that one evolution has, too."""
 

@@ -43,7 +43,7 @@ def coverage(samples: Array, truth: Array, *, share: float = SHARE) -> Array:
 
 def uncertain(name: str, preset: str) -> DynamicsModel:
     """Return a family with its preset that is to learn its spread."""
-    from evaluation.planning import with_preset
+    from evaluation.chosen_models import with_preset
     from sysid_evo.models.base import make_model
     from sysid_evo.registry import Spec
 

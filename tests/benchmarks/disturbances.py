@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from evaluation.planning import with_preset
+from evaluation.chosen_models import with_preset
 from sysid_evo import make_model
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import rollout

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from evaluation import compare, plan_run, planning, running, with_further_families
+from evaluation import chosen_models, compare, plan_run, running, with_further_families
 from evaluation.experiment import Experiment
 from evaluation.report.sections.prediction import headline
 from model_zoo.linear import Linear
@@ -29,7 +29,7 @@ class Far(Linear):
 def useless_default(register, monkeypatch):
     """One family that predicts nothing is the only default one; linear and k_neighbours are the further ones."""
     register(models, FAR, Far)
-    monkeypatch.setattr(planning, "OTHER_FAMILIES", (FAR,))
+    monkeypatch.setattr(chosen_models, "OTHER_FAMILIES", (FAR,))
     monkeypatch.setattr(running, "FURTHER_FAMILIES", ("linear", "k_neighbours"))
 
 
@@ -80,5 +80,5 @@ def test_nothing_is_added_if_the_test_data_are_too_few_to_decide(tmp_path):
 
 
 def test_nothing_is_tried_where_a_default_family_predicts(tmp_path, monkeypatch):
-    monkeypatch.setattr(planning, "OTHER_FAMILIES", ("linear",))
+    monkeypatch.setattr(chosen_models, "OTHER_FAMILIES", ("linear",))
     assert settled(tmp_path) == (["linear"], [])

@@ -38,7 +38,7 @@ from evaluation.report.elements import (
     Tone,
     present,
 )
-from evaluation.report.sections.evolution import behaviour_class_table, fitness_picture
+from evaluation.report.sections.evolution import behaviour_class_table, fewer_generations, fitness_picture
 from evaluation.report.sections.transfer import further_measures_table, paper_sheet, transfer_sheet
 from evaluation.results import ComparisonResults
 from evaluation.rounds import SHORT_EPISODE
@@ -69,7 +69,7 @@ def section(report: ComparisonResults) -> Section:
             further_measures_table(matrix),
             paper_sheet(matrix) if report.settings.get("preset") == "paper" else None,
         ),
-        absent=_absent(report),
+        absent=[*_absent(report), *fewer_generations(matrix, report.settings)],
     )
 
 

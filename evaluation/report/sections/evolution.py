@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from evaluation.report.document import Number, Numbers, Part
 from evaluation.report.elements import THIRD, Drawing, DrawingPair, FigureElement, TableElement
 from evaluation.transfer.matrix import TransferMatrix
 from sysid_evo.evolution import Champion, Finalist, ranking_value
+from sysid_evo.registry import Spec
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,6 +42,21 @@ def fitness_picture(matrix: TransferMatrix) -> FigureElement | None:
         tuple(panels),
         columns=3,
     )
+
+
+def fewer_generations(matrix: TransferMatrix, settings: Mapping[str, Any]) -> list[str]:
+    """Return a sentence for each controller whose search was shorter, because a model in it is not compiled."""
+    slow = {Spec.parse(text).label for text in settings.get("step_seconds", ())}
+    found = []
+    for champion in matrix.champions:
+        planned = settings.get("polish_generations" if champion.polished else "generations", 0)
+        models = ", ".join(sorted(slow & set(champion.against)))
+        if models and 0 < len(champion.history) < planned:
+            found.append(
+                f"{champion.name}: {len(champion.history)} of {planned} generations, because {models} has no compiled "
+                "form. search_minutes sets the time of its searches."
+            )
+    return found
 
 
 def behaviour_class_table(matrix: TransferMatrix) -> TableElement | None:

@@ -29,7 +29,7 @@ import psutil
 from rich.console import Console
 from rich.table import Table
 
-from evaluation.planning import with_preset
+from evaluation.chosen_models import with_preset
 from evaluation.prediction import ModelPrediction, PredictionProtocol, assess_model, measured_cases
 from evaluation.prediction.cases import MeasuredCases
 from model_zoo.auto.candidates import SHIPPED, unusable

@@ -20,7 +20,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from evaluation.planning import with_preset
+from evaluation.chosen_models import with_preset
 from evaluation.prediction import ModelPrediction, assess_model
 from model_zoo.auto.fitting import FitOutcome, FitTask, FitWork
 from sysid_evo.models import DynamicsModel

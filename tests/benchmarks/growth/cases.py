@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.planning import with_preset
+from evaluation.chosen_models import with_preset
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import rollout
 from sysid_evo.models.base import make_model

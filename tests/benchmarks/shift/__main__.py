@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evaluation.planning import with_preset
+from evaluation.chosen_models import with_preset
 from evaluation.prediction import MeasuredCases, PredictionProtocol, measured_cases
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidData

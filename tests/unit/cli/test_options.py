@@ -27,7 +27,7 @@ VALUES = {"stop-after": "prediction", "procedure": "plain", "to": "python", "sec
 
 OF_CONTROLLERS = ("aggregate", "baselines", "penalty", "controller", "ensembles", "estimator-delay", "generations",
                   "noise", "procedure", "repeats", "schedule", "strategy", "task", "trials", "reference", "starts",
-                  "rounds")  # fmt: skip
+                  "rounds", "search-minutes")  # fmt: skip
 TOGETHER = {
     "compare": {("stop-after", name) for name in OF_CONTROLLERS} | {
         ("data", "minutes"), ("scheduler", "jobs"), ("starts", "controller"), ("starts", "strategy"),

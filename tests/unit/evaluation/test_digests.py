@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation import planning
+from evaluation import chosen_models
 from evaluation.cells.controllers import Polish
 from evaluation.cells.models import StoredModelCell
 from evaluation.experiment import Experiment
@@ -319,7 +319,7 @@ def test_families_that_cannot_run_here_are_left_out_by_default_and_refused_when_
         requires = ("no_such_package",)
 
     register(models, "lacking", Lacking)
-    monkeypatch.setattr(planning, "OTHER_FAMILIES", ("linear", "lacking"))
+    monkeypatch.setattr(chosen_models, "OTHER_FAMILIES", ("linear", "lacking"))
     comparison = planned(models=None, ensembles=None)
     assert list(comparison.fits) == ["linear"]
     assert len(comparison.plan.remarks) == 1
@@ -327,6 +327,6 @@ def test_families_that_cannot_run_here_are_left_out_by_default_and_refused_when_
     assert 'pip install "no_such_package"' in comparison.plan.remarks[0]
     with pytest.raises(MissingExtra, match="needs the package 'no_such_package', which is not installed"):
         planned(models=("lacking",), ensembles=())
-    monkeypatch.setattr(planning, "OTHER_FAMILIES", ("lacking",))
+    monkeypatch.setattr(chosen_models, "OTHER_FAMILIES", ("lacking",))
     with pytest.raises(InvalidArgument, match="none of the default families can be compared here"):
         planned(models=None, ensembles=None)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evaluation.planning import with_preset
+from evaluation.chosen_models import with_preset
 from model_zoo.features import Features, powers, quotient
 from model_zoo.polynomial.narx import forward_selection
 from model_zoo.polynomial.sindy import SindyDiscrete

@@ -57,4 +57,5 @@ def test_a_setting_that_is_misspelt_is_refused_with_the_right_one():
 
 def test_type_checkers_know_every_setting_of_an_experiment():
     """But for the data, which are an argument of their own, and what the program writes itself."""
-    assert {*Settings.__annotations__, "data", "data_digest", "tried_models"} == set(Experiment.model_fields)
+    written = {"data", "data_digest", "tried_models", "step_seconds"}
+    assert {*Settings.__annotations__, *written} == set(Experiment.model_fields)
