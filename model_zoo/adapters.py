@@ -64,6 +64,23 @@ class ControlAdapter(Adapter):
         return make_model("lti", model=parts if system.dt is None else [*parts, system.dt])
 
 
+@register_adapter("torch")
+class TorchAdapter(Adapter):
+    """Modules of PyTorch, as the family `torch_module`."""
+
+    example = "torch.nn.Linear(3, 2)"
+
+    def recognises(self, thing: object) -> bool:
+        return "torch.Module" in bases_of(thing)
+
+    def model(self, thing: Any, *, fitted: bool = False) -> DynamicsModel:
+        return make_model("torch_module", module=keep_object(thing, self.content(thing)), fitted=fitted)
+
+    def content(self, thing: Any) -> object:
+        """Return the printed module and its weights."""
+        return repr(thing), {name: weight.numpy() for name, weight in thing.state_dict().items()}
+
+
 def definition(thing: Any) -> str:
     """Return the name of a function or class of a plugin file, by which a spec finds it; empty for others."""
     module = thing.__module__

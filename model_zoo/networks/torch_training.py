@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -30,7 +31,7 @@ from sysid_evo.angles import TURN
 from sysid_evo.carry import CarryLayout
 from sysid_evo.data import Dataset, Windows
 from sysid_evo.errors import InvalidArgument, ShapeError
-from sysid_evo.models.dynamics import chained
+from sysid_evo.models.dynamics import chained, rk4
 from sysid_evo.processors import one_thread
 from sysid_evo.system import System
 from sysid_evo.types import Array
@@ -242,6 +243,43 @@ class Equation:
     @cached_property
     def _absolute(self) -> Tensor:
         return self.tolerance * self.system.dt * self.rates
+
+
+@dataclass(frozen=True)
+class ModuleEquation(Equation):
+    """A module of states and controls in their units that ``returns`` rate, change or next state, in float64.
+
+    ``joined``: it has one input, states and controls side by side.
+    """
+
+    returns: str = "rate"
+    joined: bool = False
+
+    @classmethod
+    def of_states(cls, module: torch.nn.Module, system: System, layout: CarryLayout, returns: str) -> Self:
+        """Return the equation of ``module``, converted to float64. Raises `ShapeError` for another shape of outputs."""
+        arguments = inspect.signature(module.forward).parameters.values()
+        joined = sum(one.default is one.empty and one.kind is not one.VAR_KEYWORD for one in arguments) == 1
+        none = torch.empty(0, dtype=torch.float64)
+        found = cls(module.double(), system, layout, none, none, none, "rk4", False, 0.0, returns, joined)
+        with torch.no_grad():
+            module.eval()
+            shape = found.given(*(torch.zeros(2, n, dtype=torch.float64) for n in (system.nx, system.nu))).shape
+        if shape != (2, system.nx):
+            raise ShapeError(f"outputs of shape {tuple(shape)} for a batch of 2")
+        return found
+
+    def given(self, state: Tensor, control: Tensor) -> Tensor:
+        """Return the outputs (B, nx) of the module."""
+        found: Tensor = self.module(torch.cat([state, control], dim=1)) if self.joined else self.module(state, control)
+        return found
+
+    def after(self, carry: Tensor, control: Tensor) -> Tensor:
+        if self.returns == "rate":
+            found: Tensor = rk4(lambda state: self.given(state, control), carry, self.system.dt)
+            return found
+        given = self.given(carry, control)
+        return carry + given if self.returns == "change" else given
 
 
 class Rate(torch.nn.Module):

@@ -50,6 +50,7 @@ FAMILIES = {
     "neural_ode": NETWORK,
     "hybrid_ode": NETWORK,
     "torch_ode": {"hidden": [4], "updates": 2, "horizon": 3},
+    "torch_module": {"updates": 2, "horizon": 3},
     "gaussian_process": {"inducing": 30},
     "linear_state_space": {"order": 3, "iterations": 3, "folds": 1, "horizon": 100},
     "nonlinear_state_space": STATE_SPACE,

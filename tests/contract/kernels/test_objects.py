@@ -73,3 +73,11 @@ LAGGED = [[[0.0, 1.0, 0.0], [-9.0, -0.5, 2.0], [0.0, 0.0, -8.0]], [[0.0], [0.0],
 @pytest.mark.parametrize("matrices", [[RATES.tolist(), PUSH.tolist(), np.eye(2).tolist(), 0], LAGGED])
 def test_linear_systems_have_a_compiled_form(matrices, swinging):
     expect_compiled("lti", swinging, model=matrices)
+
+
+@pytest.mark.parametrize("returns", ["rate", "change", "next_state"])
+def test_linear_layers_with_tanh_have_a_compiled_form(returns, swinging):
+    torch = pytest.importorskip("torch")
+    torch.manual_seed(0)
+    layers = torch.nn.Sequential(torch.nn.Linear(3, 5), torch.nn.Tanh(), torch.nn.Linear(5, 2, bias=False))
+    expect_compiled("torch_module", swinging, module=keep_object(layers), returns=returns, updates=3, horizon=2)
