@@ -1,21 +1,19 @@
 """Numbers that a change of structure must not move: ``python -m tests.references --write FOLDER | --compare FOLDER``.
 
-    python -m tests.references --write build/references                    # before the change
-    python -m tests.references --compare build/references [--renames FILE] # after it; exit code 1 if anything moved
+    python -m tests.references --write build/references     # before the change
+    python -m tests.references --compare build/references   # after it; exit code 1 if anything moved
 
 What is compared: a recording of every emulated robot, what every family learns on three of them, how it simulates and
 how controllers do on it, the fitness of eight controllers in six tasks on four robots in float32 and float64, five
 champions, and the report of one comparison without its timings. Every array is stored with its SHA-256. A comparison
 lists what is equal, what moved and by how much, what is gone and what is new.
 
-Things are known by their registered names. ``--renames`` is a CSV file, ``old,new`` in each line: names and words that
-were replaced since; of what was removed on purpose the new name is empty. About seven minutes on two cores.
+Things are known by their registered names. About seven minutes on two cores.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import hashlib
 import json
 import os
@@ -277,31 +275,15 @@ def write(found: Found, folder: Path) -> None:
     save_file(arrays, folder / FOLDER_FILES[1])
 
 
-def read(folder: Path, renames: Mapping[str, str]) -> Found:
-    """Return the stored values under their current names. Raises `SystemExit` if an array differs from its digest."""
+def read(folder: Path) -> Found:
+    """Return the stored values. Raises `SystemExit` if an array differs from its digest."""
     entries = json.loads((folder / FOLDER_FILES[0]).read_text(encoding="utf-8"))
     arrays = load_file(folder / FOLDER_FILES[1])
     found: Found = {key: entry["text"] if "text" in entry else arrays[key] for key, entry in entries.items()}
     damaged = [key for key, value in found.items() if digest(value) != entries[key]["sha256"]]
     if damaged:
         raise SystemExit(f"{folder}: {len(damaged)} entries differ from their digests, first {damaged[0]}")
-    return {
-        renamed(key, renames): renamed(value, renames) if isinstance(value, str) else value
-        for key, value in found.items()
-        if not any(not new and re.search(word(old), key) for old, new in renames.items())
-    }
-
-
-def renamed(text: str, renames: Mapping[str, str]) -> str:
-    """Return ``text`` with every old name, as a whole word, replaced by the new one."""
-    for old, new in renames.items():
-        text = re.sub(word(old), new, text) if new else text
-    return text
-
-
-def word(name: str) -> str:
-    """Return a pattern that matches ``name`` where it is not a part of a longer one."""
-    return rf"(?<!\w){re.escape(name)}(?!\w)"
+    return found
 
 
 def difference(before: np.ndarray | str, after: np.ndarray | str) -> str:
@@ -346,14 +328,6 @@ def listed(before: Found, after: Found) -> tuple[Table, list[str]]:
     return table, lines
 
 
-def renames_of(file: Path | None) -> dict[str, str]:
-    """Return the table old name -> new name; a first line ``old,new`` and further columns are passed over."""
-    if file is None:
-        return {}
-    with file.open(encoding="utf-8", newline="") as text:
-        return {row[0]: row[1] for row in csv.reader(text) if row and row[:2] != ["old", "new"]}
-
-
 def main(arguments: Iterable[str] | None = None) -> int:
     """Write or compare; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -362,7 +336,6 @@ def main(arguments: Iterable[str] | None = None) -> int:
     what.add_argument(
         "--compare", type=Path, metavar="FOLDER", help="compare the numbers of this tree with stored ones"
     )
-    parser.add_argument("--renames", type=Path, metavar="FILE", help="CSV: old,new")
     parser.add_argument("--only", default="", help="part of a name, such as champion/ or learned/linear")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="with --compare: also store what was found now")
@@ -370,7 +343,7 @@ def main(arguments: Iterable[str] | None = None) -> int:
     out = Console()
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "SYSID_EVO_JOBS"):
         os.environ.setdefault(name, "1")
-    before = None if given.compare is None else read(given.compare, renames_of(given.renames))
+    before = None if given.compare is None else read(given.compare)
     found = measured(given.processes, given.only)
     folder = given.write or given.keep
     if folder is not None:

@@ -18,7 +18,7 @@ from evaluation.experiment import Experiment, default_task
 from evaluation.rounds import ERROR_STEPS, SHORT_EPISODE, RecordingRound, RoundsSummary, reason_to_end
 from evaluation.storage import load_result, save_result
 from sysid_evo.controllers.controller import make_controller
-from sysid_evo.controllers.exploration import Exploring
+from sysid_evo.controllers.linear import Exploring
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.engine import DynamicsRunner, Rollouts
 from sysid_evo.errors import Blocked, InvalidArgument, InvalidData

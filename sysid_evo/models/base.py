@@ -456,24 +456,17 @@ class DynamicsModel(Dynamics, ParameterAccess):
             states, past_controls, controls = run.states[: lags + 1], run.controls[:lags], run.controls[lags:]
         elif controls is None:
             past_controls, controls = None, past_controls
+        if samples is not None and getattr(self, "stochastic", False) and not self.n_noise:
+            raise NotFitted(
+                f"{type(self).__name__} was not fitted with stochastic=True, so its noise is not known: fit it again"
+            )
         if controls is None:
             raise InvalidArgument("simulate: expected a state and controls, or a Trajectory; got no controls")
         alone = np.ndim(states) < 3 and np.ndim(controls) < 3
         if alone:
             states, past_controls, controls = one_run(system, lags, states, past_controls, controls)
-        simulated = self._simulated(states, past_controls, controls, samples, as_generator(rng))
+        simulated = many_runs(self, states, past_controls, controls, samples, as_generator(rng))
         return simulated[..., 0, :, :] if alone else simulated
-
-    def _simulated(
-        self,
-        states: npt.ArrayLike,
-        past_controls: npt.ArrayLike | None,
-        controls: npt.ArrayLike,
-        samples: int | None,
-        rng: np.random.Generator,
-    ) -> Array:
-        """Return (B, H, nx), or (samples, B, H, nx)."""
-        return many_runs(self, states, past_controls, controls, samples, rng)
 
 
 def _numbers_learned(model: DynamicsModel) -> int:

@@ -7,10 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid_evo.data.dataset import Dataset
-from sysid_evo.errors import NotFitted
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models.base import DynamicsModel
 from sysid_evo.models.kernels.stepping import StepNoise
@@ -105,20 +103,6 @@ class StochasticModel(DynamicsModel):
         super().record(dataset)
         for name in ("horizon_scales_", "persistent_", "noise_scale_", "residual_"):
             self.__dict__.pop(name, None)
-
-    def _simulated(
-        self,
-        states: npt.ArrayLike,
-        past_controls: npt.ArrayLike | None,
-        controls: npt.ArrayLike,
-        samples: int | None,
-        rng: np.random.Generator,
-    ) -> Array:
-        if samples is not None and self.stochastic and not self.n_noise:
-            raise NotFitted(
-                f"{type(self).__name__} was not fitted with stochastic=True, so its noise is not known: fit it again"
-            )
-        return super()._simulated(states, past_controls, controls, samples, rng)
 
     def with_deviation(self, carry: Array, control: Array) -> tuple[Array, Array]:
         """Return the next state (B, nx), and the unit of its noise, (nx,) or (B, nx)."""

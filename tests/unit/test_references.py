@@ -1,9 +1,9 @@
-"""The comparison of stored numbers: what it calls equal, moved, gone and new, and what a table of renames does."""
+"""The comparison of stored numbers: what it calls equal, moved, gone and new."""
 
 import numpy as np
 import pytest
 
-from tests.references import difference, flat, guarded, listed, read, renames_of, write
+from tests.references import difference, flat, guarded, listed, read, write
 
 BEFORE = {
     "family/linear/car/learned/weights_": np.array([[1.0, 2.0], [3.0, np.nan]]),
@@ -20,7 +20,7 @@ def counted(before, after):
 
 def test_what_was_stored_is_equal_to_itself(tmp_path):
     write(BEFORE, tmp_path)
-    assert counted(read(tmp_path, {}), BEFORE) == (["3", "0", "0", "0"], [])
+    assert counted(read(tmp_path), BEFORE) == (["3", "0", "0", "0"], [])
 
 
 def test_what_moved_is_listed_with_how_far_and_what_is_gone_or_new_by_name():
@@ -49,21 +49,12 @@ def test_the_last_bit_the_shape_and_the_type_count(other, said):
     assert difference(np.array([1.0]), other) == said
 
 
-def test_a_table_of_renames_leads_from_old_names_to_new_ones(tmp_path):
-    write(BEFORE, tmp_path)
-    table = tmp_path / "renames.csv"
-    table.write_text("old,new\nlinear,affine\ncma_es,cma\nname_,\n", encoding="utf-8")
-    found = read(tmp_path, renames_of(table))
-    assert set(found) == {"family/affine/car/learned/weights_", "champion/niches/described/strategy"}
-    assert found["champion/niches/described/strategy"] == '"niches(strategy=cma)"'
-
-
 def test_an_array_that_differs_from_its_digest_ends_the_comparison(tmp_path):
     write(BEFORE, tmp_path / "first")
     write({**BEFORE, "family/linear/car/learned/weights_": np.zeros((2, 2))}, tmp_path / "second")
     (tmp_path / "second" / "references.safetensors").replace(tmp_path / "first" / "references.safetensors")
     with pytest.raises(SystemExit, match="differ from their digests"):
-        read(tmp_path / "first", {})
+        read(tmp_path / "first")
 
 
 def test_leaves_are_found_by_their_paths():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sysid_evo.controllers.controller import View, make_controller
-from sysid_evo.controllers.exploration import Exploring
+from sysid_evo.controllers.linear import Exploring
 from sysid_evo.engine import rollout
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.models.base import make_model
