@@ -144,6 +144,9 @@ class Experiment(BaseModel):
     )
     selection_trials: Positive = setting(100, "Trials by which other models select controllers")
     transfer_trials: Positive = setting(100, "Trials of each controller on each model and robot")
+    robot_trials: Positive | None = setting(
+        None, "Trials of each controller on the robot; by default those on models, fewer on a slow robot"
+    )
     traces: int = setting(10, "Trials whose trajectories are stored for the plots", ge=0)
     stop_after: Literal["fit", "prediction"] | None = setting(
         None, "fit or prediction (no controllers are evolved)", "Budget", "NAME"
@@ -206,16 +209,16 @@ Settings = TypedDict("Settings", {  # noqa: UP013  # several in a line
     "baselines": Sequence[str], "strategy": str | None, "procedure": Procedure | None, "aggregate": str,
     "noise": str | None, "penalty": str, "starts": str | None, "schedule": str, "generations": int | None,
     "search_minutes": float, "trials": int | None, "repeats": int | None, "polish_generations": int | None,
-    "selection_trials": int,
-    "estimator_delay": float, "transfer_trials": int, "traces": int, "reference": bool | None, "seed": int,
-    "rounds": int | None, "command_noise": float, "max_steps": int, "plugins": Sequence[str | Path],
+    "selection_trials": int, "estimator_delay": float, "transfer_trials": int, "robot_trials": int | None,
+    "traces": int, "reference": bool | None, "seed": int, "rounds": int | None, "command_noise": float,
+    "max_steps": int, "plugins": Sequence[str | Path],
 }, total=False)  # fmt: skip
 """The keywords of `evaluation.compare`, for type checkers; see `Experiment`."""
 
 OF_CONTROLLERS = (
     "task", "controller", "baselines", "strategy", "procedure", "aggregate", "noise", "penalty", "starts", "schedule",
     "generations", "search_minutes", "trials", "repeats", "polish_generations", "selection_trials", "estimator_delay",
-    "transfer_trials", "traces", "reference", "ensembles", "rounds", "command_noise", "max_steps",
+    "transfer_trials", "robot_trials", "traces", "reference", "ensembles", "rounds", "command_noise", "max_steps",
 )  # fmt: skip
 NO_CONTROLLERS = {"stop_after": ("fit", "prediction")}
 

@@ -19,13 +19,15 @@ from evaluation.cells.controllers import (
     evolution_on,
     evolution_settings,
     labels_inside,
+    with_starts,
 )
 from evaluation.cells.data import GivenData, HoldOut, RecordedData
 from evaluation.cells.learned_task import LearnTask, learning_cell, needed
 from evaluation.cells.models import Fit, LeaveConditionsOut, Predict, ScoreFit
-from evaluation.cells.plants import SLOW, Plant, runner_of
+from evaluation.cells.plants import SLOW, Plant, runner_of, steps_in
 from evaluation.cells.rounds import ChooseRound, Round, RoundData, default_rounds, last_round
 from evaluation.cells.slow_models import slow_remarks, times_of_steps
+from evaluation.cells.slow_robots import has_reference, robot_trials
 from evaluation.chosen_models import ALL, ensembles_of, made, made_model, models_of, requested_models, without_preset
 from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, FILE, Experiment, check_settings, with_rounds, with_task
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
@@ -114,7 +116,7 @@ def plan_comparison(
     if in_rounds:
         experiment = with_rounds(experiment, system.dt)
     if experiment.stop_after is None:
-        experiment = with_task(experiment, (robot,))
+        experiment = with_starts(with_task(experiment, (robot,)), system, robot)
     evolution = evolution_settings(experiment)
     _constructible(evolution)
     first = data = held[0] if held is not None else _data(experiment, robot, dataset, whole=in_rounds)
@@ -140,7 +142,7 @@ def plan_comparison(
             remarks += evolution.make_task(system).feasibility_warnings(farthest)
         # recorded here, or when the run was made
         recorded = "robot" in data.settings.inputs()
-        reference = _has_reference(experiment, column, remarks, recorded=recorded)
+        reference = has_reference(experiment, column, remarks, recorded=recorded)
         plants = tuple(
             Plant(
                 label,
@@ -162,10 +164,12 @@ def plan_comparison(
             _baselines(experiment, evolution, system, fits, learned),
             learned,
             last,
+            remarks,
             reference=reference,
         )
-        if column is not None and column.timed:
-            experiment = experiment.model_copy(update={"reference": reference})  # not decided again elsewhere
+        if column is not None and column.timed:  # not decided again elsewhere
+            trials = next(run.settings.trials for run in matrix.runs if run.settings.column == column)
+            experiment = experiment.model_copy(update={"reference": reference, "robot_trials": trials})
         exploitability = AssessExploitability(matrix, data, experiment.seed).cell()
     held_out_scores = (
         {label: ScoreFit(fit).cell() for label, fit in fits.items()} if experiment.stop_after == "fit" else {}
@@ -312,25 +316,6 @@ def _farthest(dataset: Dataset | None, robot: Spec | None) -> Array | None:
     return _farthest_driven(robots.get(robot.name), str(robot))
 
 
-LONGEST_REFERENCE = 600.0
-"""Approximate time (s) up to which evolution on the robot itself is part of a comparison by default."""
-
-
-def _has_reference(experiment: Experiment, robot: Plant | None, remarks: list[str], *, recorded: bool) -> bool:
-    """Return whether a controller is evolved on the robot itself; add a remark if that would take too long."""
-    if robot is None or robot.robot is None or experiment.reference is not None:
-        return robot is not None and bool(experiment.reference)
-    usual = recorded and experiment.budget.procedure == "recommended" and make_robot(robot.robot).dynamics is not None
-    own = Evolve((robot,), evolution_on(experiment, (robot,)), experiment.seed)
-    about = own.cell().expected_seconds if usual else 0.0
-    if about > LONGEST_REFERENCE:
-        remarks.append(
-            f"no controller is evolved on {robot.label} itself: a step of it takes {1e3 * robot.timed:.2g} ms, "
-            f"so this would take about {about / 3600.0:.1f} hours. Use --reference yes to do it anyway"
-        )
-    return usual and about <= LONGEST_REFERENCE
-
-
 @lru_cache(maxsize=64)
 def _farthest_driven(_factory: Callable[..., Any], robot: str) -> Array | None:
     """Return the range of the states on ``robot``, once for all plans of a study; the factory is part of the key."""
@@ -449,6 +434,7 @@ def _matrix(
     baselines: tuple[ControllerCell, ...],
     learned: Cell[LearnTask] | None,
     last: Cell[Round] | None,
+    remarks: list[str],
     *,
     reference: bool,
 ) -> PlannedMatrix:
@@ -488,16 +474,18 @@ def _matrix(
         raise InvalidArgument(
             f"baselines: another controller is called {taken[0]!r}; give a label of its own, label=NAME"
         )
+    on_robot = robot_trials(experiment, robot, evolution.task, len(champions), remarks)
     runs = tuple(
         Run(
             champion,
             column,
             delay=evolution.estimator_delay,
-            trials=experiment.transfer_trials,
+            trials=on_robot if column == robot else experiment.transfer_trials,
             traces=kept_traces(
                 experiment.traces, own=column == robot or any(map(column.is_same, champion.settings.members))
             ),
             seed=experiment.seed,
+            steps=steps_in(evolution.task, (column,)),
         ).cell()
         for champion in champions
         for column in columns

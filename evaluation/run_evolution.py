@@ -10,7 +10,14 @@ from typing import Any
 from evaluation.advice.evidence import Remark
 from evaluation.advice.regions import driven_outside
 from evaluation.cells.assessment import Run, SearchExploit
-from evaluation.cells.controllers import Choose, ControllerCell, Polish, controller_cell, evolution_settings
+from evaluation.cells.controllers import (
+    Choose,
+    ControllerCell,
+    Polish,
+    controller_cell,
+    evolution_settings,
+    with_starts,
+)
 from evaluation.cells.learned_task import LearnTask, learning_cell
 from evaluation.cells.plants import Plant
 from evaluation.cells.slow_models import slow_remarks
@@ -25,6 +32,7 @@ from evaluation.members import (
     find_column,
     has_dynamics,
     other_models,
+    system_of,
 )
 from evaluation.prediction.scores import error_of
 from evaluation.run_folder import run_of_controller
@@ -100,6 +108,8 @@ def plan_evolution(experiment: Experiment, store: Store, members: Sequence[str])
     robots = [column.robot for column in columns]
     task = experiment.task or _settings(store).get("task")
     experiment = with_task(experiment.model_copy(update={"task": task}), robots)
+    robot = next(filter(None, robots), None)
+    experiment = with_starts(experiment, system_of(store, columns[0]), robot)
     remarks = (
         *check_evolution(store, columns, evolution_settings(experiment)),
         *slow_remarks(experiment, columns),

@@ -36,7 +36,7 @@ from sysid_evo.plan import CELL_KINDS, Cell, CellContext, CellKind, CellOutcome,
 class Run(CellSettings):
     """Run of a controller on a column in ``trials`` fresh trials, of which ``traces`` are recorded.
 
-    The states are observed with the same delay as in evolution.
+    The states are observed with the same delay as in evolution. ``steps`` is the expected length of a trial.
     """
 
     champion: ControllerCell
@@ -45,6 +45,7 @@ class Run(CellSettings):
     trials: int
     traces: int
     seed: int
+    steps: int = STEPS
 
     def cell(self) -> Cell[Run]:
         """Return the cell of the result."""
@@ -57,7 +58,7 @@ class Run(CellSettings):
             needs=(self.champion, *self.column.needs),
             labels={"champion": champion, "column": column},
             group=f"run {champion}",
-            expected_seconds=0.05 + self.trials * STEPS * self.column.step_seconds(),
+            expected_seconds=0.05 + self.trials * self.steps * self.column.step_seconds(),
         )
 
     def inputs(self) -> dict[str, Any]:
@@ -75,7 +76,7 @@ class Run(CellSettings):
         cell = run_controller(
             champion,
             self.column.label,
-            self.column.runner(work, delay=self.delay),
+            self.column.runner(work, delay=self.delay, reported=True),
             transfer_seeds(self.seed, self.trials),
             traces=self.traces,
         )

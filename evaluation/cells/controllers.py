@@ -10,13 +10,13 @@ from evaluation.cells.learned_task import LearnTask, learned_task, needed, with_
 from evaluation.cells.models import file_digests, files_of, named_files
 from evaluation.cells.plants import (
     ACCURATE,
-    STEPS,
     Plant,
     accurate_plants,
     fitted,
     labels_of,
     prediction_error,
     runners,
+    steps_in,
 )
 from evaluation.cells.slow_models import limited
 from evaluation.experiment import DEFAULT_TASK, NONE, Experiment
@@ -27,8 +27,9 @@ from sysid_evo.evolution import Champion, ControllerEvolution, Stage, choose, ev
 from sysid_evo.evolution.champion import load_champion, save_champion
 from sysid_evo.evolution.halving import Start
 from sysid_evo.plan import CELL_KINDS, Cell, CellContext, CellKind, CellSettings, ResultType, blocked_reason, cell_seed
-from sysid_evo.registry import Spec, aggregates, controllers, strategies, tasks
+from sysid_evo.registry import Spec, aggregates, controllers, make_robot, strategies, tasks
 from sysid_evo.registry.registry import noises, penalties
+from sysid_evo.rigid_body import RigidBody
 from sysid_evo.system import System
 
 POLISHED = "polished"
@@ -79,7 +80,9 @@ class Evolve(CellSettings):
             settings=self,
             needs=(*(cell for member in self.members for cell in member.needs), *needed(self.learned)),
             labels={"name": self.name, "against": labels_of(self.members)},
-            expected_seconds=rollouts * STEPS * sum(member.step_seconds() for member in self.members),
+            expected_seconds=rollouts
+            * steps_in(self.evolution.task, self.members)
+            * sum(member.step_seconds() for member in self.members),
             resumable=True,
             local_only=any(any(named_files(start.controller)) for start in evolution.all_starts),
         )
@@ -225,7 +228,9 @@ class Polish(CellSettings):
                 *needed(self.learned),
             ),
             labels={"name": self.label, "against": labels_of(self.members)},
-            expected_seconds=rollouts * STEPS * sum(member.step_seconds() for member in self.members),
+            expected_seconds=rollouts
+            * steps_in(self.evolution.task, self.members)
+            * sum(member.step_seconds() for member in self.members),
             resumable=True,
         )
 
@@ -379,13 +384,31 @@ FEW_GENERATIONS = 60
 
 def usual_starts(experiment: Experiment, task: Spec) -> str:
     """Return the starts of the task of an environment, unless a controller, a strategy or a schedule is given."""
-    budget, given = experiment.budget, (experiment.controller, experiment.strategy, experiment.schedule or None)
-    free = (
+    return DEFAULT_STARTS if task.name == "environment" and _free_to_choose(experiment) else ""
+
+
+def _free_to_choose(experiment: Experiment) -> bool:
+    """Return whether neither starts nor what they consist of is given, and the search is long enough for several."""
+    budget = experiment.budget
+    given = (experiment.controller, experiment.strategy, experiment.starts, experiment.schedule or None)
+    return (
         budget.procedure == "recommended"
         and budget.generations >= FEW_GENERATIONS
         and all(one is None for one in given)
     )
-    return DEFAULT_STARTS if free and task.name == "environment" else ""
+
+
+def with_starts(experiment: Experiment, system: System, robot: Spec | None = None) -> Experiment:
+    """Return the experiment with `DEFAULT_STARTS` for a body in space, or the simulator of another package.
+
+    The network of the usual search has some 200 parameters there, and its large first outputs turn such bodies over.
+    """
+    made = None if robot is None else make_robot(robot)
+    foreign = made is not None and made.stepped and made.dynamics is None
+    several = foreign or isinstance(system.motion, RigidBody)
+    if not several or not _free_to_choose(experiment):
+        return experiment
+    return experiment.model_copy(update={"starts": DEFAULT_STARTS})
 
 
 def evolution_on(experiment: Experiment, members: tuple[Plant, ...]) -> ControllerEvolution:

@@ -9,6 +9,7 @@ from typing import Any
 
 from evaluation.prediction.scores import error_of
 from sysid_evo.engine import DynamicsRunner, Runner
+from sysid_evo.engine.rollout import SteppedRunner
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import delayed_runner
 from sysid_evo.models import Dynamics
@@ -16,11 +17,12 @@ from sysid_evo.plan import Cell, CellContext
 from sysid_evo.processors import resolve
 from sysid_evo.registry import Spec, make_robot, robot_spec, robots
 from sysid_evo.system import System
+from sysid_evo.tasks.task import make_task
 
 ROLLOUT_STEPS_PER_SECOND = 2e7
 """Approximate rollout steps per second of a compiled model with a small controller, on one core."""
 STEPS = 500
-"""Approximate number of steps of a trial."""
+"""Approximate number of steps of a trial where a step takes next to no time."""
 SLOW = 1e-3
 """Duration of a step (s) from which a robot is not driven for a plan: 1 s for two controls, 24 s for five."""
 
@@ -82,12 +84,23 @@ class Plant:
         """Return the approximate seconds of one step of one trial."""
         return self.slow or self.timed or 1.0 / ROLLOUT_STEPS_PER_SECOND
 
-    def runner(self, work: CellContext, *, delay: float) -> Runner:
-        """Return the runner of this column, with states observed ``delay`` s late."""
+    def runner(self, work: CellContext, *, delay: float, reported: bool = False) -> Runner:
+        """Return the runner of this column, with states observed ``delay`` s late.
+
+        With ``reported`` a robot that is stepped reports its steps as the progress of the work.
+        """
         if self.model is not None:
             return delayed_runner(self.label, DynamicsRunner(work.result(self.model)), delay)
         assert self.robot is not None
-        return delayed_runner(self.label, runner_of(self.robot), delay)
+        runner = runner_of(self.robot)
+        if reported and isinstance(runner, SteppedRunner):
+            runner = runner.reporting(work.progress)
+        return delayed_runner(self.label, runner, delay)
+
+
+def steps_in(task: Spec, columns: Iterable[Plant]) -> int:
+    """Return the steps of a trial for which time is planned: those of ``task`` if a robot among them was timed."""
+    return make_task(task).horizon if any(column.timed for column in columns) else STEPS
 
 
 def runners(columns: Iterable[Plant], work: CellContext) -> dict[str, Runner]:

@@ -1,10 +1,14 @@
 """A passenger car of the package commonroad-vehicle-models, which slides and drifts: single-track or multi-body."""
 
+# mypy: disallow-untyped-defs=False, check-untyped-defs=False, disallow-untyped-calls=False
+# (Numba infers the types of the compiled functions, and some of their names are bound when they are compiled)
+
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
 from typing import Any, ClassVar
 
@@ -13,8 +17,8 @@ import numpy as np
 from hardware.arguments import check_choice, check_integer, check_number
 from hardware.simulators.simulator import ExternalSimulator, SimulatorSession
 from hardware.simulators.simulator_robot import SimulatorRobot
+from sysid_evo.engine.compiled.plain import compile_plain
 from sysid_evo.extras import check_installed
-from sysid_evo.models.dynamics import rk4
 from sysid_evo.motion import PlanarBody
 from sysid_evo.registry import register_robot
 from sysid_evo.system import Channel, System
@@ -22,6 +26,8 @@ from sysid_evo.types import Array
 
 MODELS = {"drift": "std", "multi_body": "mb"}
 """The short names of the package."""
+WHEELS = {"drift": slice(7, 9), "multi_body": slice(23, 27)}
+"""Places of the speeds of the wheels (rad/s) in the state of each model."""
 SLOWEST, FASTEST = 1.0, 30.0
 """Forward speeds (m/s) beyond which an episode ends: both models are stiff near standstill."""
 BRAKES = 2.0
@@ -63,11 +69,12 @@ class DriftCar(SimulatorRobot):
 
 @dataclass(frozen=True)
 class DriftCarSimulator(ExternalSimulator):
-    """A vehicle with these ``parameters`` of the package, simulated by ``model``."""
+    """A ``vehicle`` with its ``parameters`` of the package, simulated by ``model``."""
 
     name: str
     system: System
     model: str
+    vehicle: int
     parameters: Any
     rewarded: ClassVar[bool] = False
     settable: bool = True
@@ -75,8 +82,7 @@ class DriftCarSimulator(ExternalSimulator):
     @classmethod
     def describe(cls, model: str, vehicle: int, dt: float) -> DriftCarSimulator:
         """Return the simulator of a vehicle; the limits of its controls are its own."""
-        module = import_module(f"vehiclemodels.parameters_vehicle{vehicle}")
-        parameters = getattr(module, f"parameters_vehicle{vehicle}")()
+        parameters = _function(f"parameters_vehicle{vehicle}")()
         steering, most = parameters.steering, min(STRONGEST, float(parameters.longitudinal.a_max))
         states = (
             Channel("forward_speed", "m/s", neutral=ROLLING),
@@ -91,7 +97,7 @@ class DriftCarSimulator(ExternalSimulator):
             Channel("steering", "rad", float(steering.min), float(steering.max), description="commanded angle"),
         )
         name = f"{model} car {vehicle}"
-        return cls(name, System(states, controls, dt, PlanarBody(), name), model, parameters)
+        return cls(name, System(states, controls, dt, PlanarBody(), name), model, vehicle, parameters)
 
     def open(self) -> DriftCarSession:
         return DriftCarSession(self)
@@ -104,8 +110,8 @@ class DriftCarSession(SimulatorSession):
         short = MODELS[simulator.model]
         self._dt, self._parameters, self._radius = simulator.system.dt, simulator.parameters, simulator.parameters.R_w
         self._multi_body = simulator.model == "multi_body"
-        self._wheels = slice(23, 27) if self._multi_body else slice(7, 9)
-        self._rate = _function(f"vehicle_dynamics_{short}")
+        self._wheels = WHEELS[simulator.model]
+        self._advance = compiled_advance(simulator.model, simulator.vehicle)
         self._begin = _function(f"init_{short}")
         self._state = np.zeros(0)
 
@@ -122,17 +128,9 @@ class DriftCarSession(SimulatorSession):
 
     def step(self, control: Array) -> tuple[Array, float, bool, bool]:
         acceleration, steering = map(float, control)
-
-        def rate(state: Array) -> Array:
-            turning = (steering - state[2]) / SERVO  # the model limits it
-            inputs = [turning, 0.0 if acceleration < 0.0 and state[3] < BRAKES else acceleration]
-            return np.array(self._rate(state.tolist(), inputs, self._parameters))
-
-        before, state, steps = self._measured(), self._state, math.ceil(self._dt / STEP)
+        before, steps = self._measured(), math.ceil(self._dt / STEP)
         try:
-            for _ in range(steps):
-                state = rk4(rate, state, self._dt / steps)
-                state[self._wheels] = np.maximum(state[self._wheels], 0.0)
+            state = self._advance(self._state, acceleration, steering, self._dt / steps, steps)
         except ZeroDivisionError:  # the multi-body model divides by the ground speed of each wheel
             return before, 0.0, True, False
         if not np.isfinite(state).all():
@@ -150,6 +148,39 @@ class DriftCarSession(SimulatorSession):
             wheels = 0.5 * self._radius * np.array([x[23] + x[24], x[25] + x[26]])
             return np.array([x[3], x[10], x[5], x[2], *wheels])
         return np.array([x[3] * math.cos(x[6]), x[3] * math.sin(x[6]), x[5], x[2], *(self._radius * x[7:9])])
+
+
+@cache
+def compiled_advance(model: str, vehicle: int) -> Callable[..., Any]:
+    """Return `advance_car` with the equations of a model and the parameters of a vehicle."""
+    wheels = WHEELS[model]
+    bindings = {
+        "equations": _function(f"vehicle_dynamics_{MODELS[model]}"),
+        "vehicle": _function(f"parameters_vehicle{vehicle}")(),
+        "first": wheels.start,
+        "end": wheels.stop,
+    }
+    compiled: Callable[..., Any] = compile_plain(advance_car, bindings)
+    return compiled
+
+
+def rate_of_car(state, acceleration, steering):
+    """The rate of change of the state; the model limits the speed of the steering."""
+    request = 0.0 if acceleration < 0.0 and state[3] < BRAKES else acceleration
+    return np.array(equations(list(state), [(steering - state[2]) / SERVO, request], vehicle))
+
+
+def advance_car(state, acceleration, steering, dt, steps):
+    """Return the state after ``steps`` steps of the classical Runge-Kutta method; no wheel turns backwards."""
+    for _ in range(steps):
+        k1 = rate_of_car(state, acceleration, steering)
+        k2 = rate_of_car(state + 0.5 * dt * k1, acceleration, steering)
+        k3 = rate_of_car(state + 0.5 * dt * k2, acceleration, steering)
+        k4 = rate_of_car(state + dt * k3, acceleration, steering)
+        state = state + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        for wheel in range(first, end):
+            state[wheel] = max(state[wheel], 0.0)
+    return state
 
 
 def _function(name: str) -> Callable[..., Any]:

@@ -22,6 +22,7 @@ from sysid_evo.data.trajectory import TERMINATED, TRUNCATED
 from sysid_evo.engine import Rollouts, results
 from sysid_evo.engine.rollout import BoundRunner
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.progress import Counter, Progress
 from sysid_evo.randomness import CONTROLLER_STREAM, draw_for_steps
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task, TaskState
@@ -79,6 +80,11 @@ class SimulatorRunner:
     """
 
     simulator: ExternalSimulator
+    progress: Progress | None = None
+
+    def reporting(self, progress: Progress) -> SimulatorRunner:
+        """Return this runner, which calls ``progress`` with the steps done in all candidates and trials."""
+        return replace(self, progress=progress)
 
     def bind(self, controller: Controller, task: Task) -> BoundRunner:
         """Return a function that runs ``controller`` at ``task``, see `Runner`."""
@@ -92,14 +98,17 @@ class SimulatorRunner:
         if len(seeds) < 1 or len(parameters) < 1:
             raise InvalidArgument(f"{self.simulator.name}: expected at least one candidate and one seed, got none")
         each = max(1, AT_ONCE // len(seeds))
-        parts = []
+        parts: list[_Trials] = []
+        blocks = -(-len(parameters) // each)
+        counter = Counter(self.progress, blocks * task.horizon)
         with ExitStack() as stack:
             count = min(each, len(parameters)) * len(seeds)
             sessions = [stack.enter_context(self.simulator.open()) for _ in range(count)]
             for first in range(0, len(parameters), each):
                 trials = _Trials(self.simulator, sessions, controller, parameters[first : first + each], task, seeds)
-                trials.run(record)
+                trials.run(record, counter)
                 parts.append(trials)
+                counter.advance(len(parts) * task.horizon - counter.done)
         return _joined(parts, len(seeds), record)
 
 
@@ -135,8 +144,8 @@ class _Trials:
         self.rewards: list[list[float]] = [[] for _ in range(batch)]
         self.endings = [""] * batch
 
-    def run(self, record: bool) -> None:
-        """Step until every trial is over."""
+    def run(self, record: bool, counter: Counter) -> None:
+        """Step until every trial is over, and count the steps."""
         memory = np.zeros((*self.grid, self.controller.n_memory))
         noise = draw_for_steps(self.seeds, self.task.horizon, self.controller.n_noise, CONTROLLER_STREAM)
         centre = results.neutral_values(self.system)
@@ -145,6 +154,7 @@ class _Trials:
             going = self.task_state.alive & ~over & ~self.diverged
             if not going.any():
                 break
+            counter.advance(1)
             observation = self.task.observe(self.task_state, self.state)
             drawn = np.broadcast_to(noise[:, k], (*self.grid, self.controller.n_noise)) if noise.size else None
             view = View(observation.reshape(*self.grid, -1), self.state.reshape(*self.grid, -1), self.task_state, drawn)

@@ -155,11 +155,11 @@ class PlanProgress(Observer):
         current.advance(done, total)
         pace = current.pace()
         self._bars.remarks[current.bar] = current.title, note
-        self._bars.update(current.bar, completed=done, total=total, note=pace)
+        self._bars.update(current.bar, completed=done, total=total or None, note=pace)
         now = time.monotonic()
         if not err.is_terminal and now - current.reported > REPORT_EVERY:
             current.reported = now
-            done_so_far = ", ".join(filter(None, (f"{done}/{total}", pace)))
+            done_so_far = ", ".join(filter(None, (f"{done}/{total}" if total else "running", pace)))
             print_status("; ".join(filter(None, (f"{self._count()}{current.title}: {done_so_far}", note))))
 
     def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, Protocol, get_args
+from typing import Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from sysid_evo.kernels import Precision
 from sysid_evo.models.adapters import adapter_of
 from sysid_evo.models.dynamics import Dynamics, enough, started
 from sysid_evo.processors import Engine, available_processors, resolve
+from sysid_evo.progress import Progress
 from sysid_evo.randomness import draw_for_steps, draw_for_trials
 from sysid_evo.registry.objects import class_name
 from sysid_evo.tasks.task import Task
@@ -45,6 +46,15 @@ class Runner(Protocol):
 
     def bind(self, controller: Controller, task: Task) -> BoundRunner:
         """Return the bound runner of ``controller`` and ``task``. Raises `IncompatibleTask` before any trial."""
+        ...
+
+
+@runtime_checkable
+class SteppedRunner(Runner, Protocol):
+    """A runner that takes its time for every step, and reports them."""
+
+    def reporting(self, progress: Progress) -> Runner:
+        """Return this runner, which calls ``progress`` with the steps done of a trial."""
         ...
 
 

@@ -1,13 +1,17 @@
 """Robots of other packages: the contract, closed forms, and agreement with the motion that their states claim."""
 
+from importlib import import_module
+
 import numpy as np
 import pytest
 
 from hardware.robot import find_robot
+from hardware.simulators.drift_car import MODELS
 from hardware.testing import check_robot
 from sysid_evo.angles import TURN
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.models.dynamics import rk4
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import Spec, robots
 from sysid_evo.tasks.task import make_task
@@ -166,6 +170,26 @@ def test_the_pose_of_a_car_by_its_motion_is_the_one_of_the_package(model):
     np.testing.assert_allclose(pose[:2], inside[:2], atol=0.05)
     assert pose[2] == pytest.approx(inside[4], abs=0.01)
     assert abs(pose[1]) > 0.1
+
+
+@pytest.mark.parametrize("model", ["drift", "multi_body"])
+def test_a_compiled_car_is_the_one_of_the_package(model):
+    session = made("drift_car", model=model).simulator.open()
+    equations = getattr(
+        import_module(f"vehiclemodels.vehicle_dynamics_{MODELS[model]}"), f"vehicle_dynamics_{MODELS[model]}"
+    )
+    vehicle = import_module("vehiclemodels.parameters_vehicle2").parameters_vehicle2()
+    session.reset(0, [8.0, 0.2, 0.1, 0.05, 8.0, 8.2])
+
+    def rate(state):
+        return np.array(equations(state.tolist(), [(0.2 - state[2]) / 0.1, 3.0], vehicle))
+
+    expected = session._state
+    for _ in range(50):
+        expected = rk4(rate, expected, 1e-3)
+        expected[session._wheels] = np.maximum(expected[session._wheels], 0.0)
+    session.step([3.0, 0.2])
+    np.testing.assert_allclose(session._state, expected, rtol=1e-9, atol=1e-12)
 
 
 def test_steering_to_the_left_turns_both_models_of_a_car_alike():

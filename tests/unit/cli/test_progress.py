@@ -216,3 +216,12 @@ def test_a_cell_that_begins_again_elsewhere_has_one_bar(shown):
         for _ in range(2):
             bars.start(number(1))
         assert len(bars._bars.tasks) == 1
+
+
+def test_work_that_has_not_said_how_long_it_is_shows_no_numbers(shown, clock):
+    written = shown(terminal=False)
+    with PlanProgress() as bars:
+        bars.begin("run linear on robot")
+        clock.sleep(11.0)
+        bars.advance(0, 0)
+    assert "run linear on robot: running" in written.getvalue()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evaluation.cells.controllers import Baseline
+from evaluation.cells.controllers import Baseline, with_starts
 from evaluation.cells.data import HoldOut, whole_episodes
 from evaluation.experiment import Experiment, meaningful
 from evaluation.planning import plan_comparison
@@ -14,7 +14,8 @@ from sysid_evo.errors import IncompatibleSystem, IncompatibleTask, InvalidArgume
 from sysid_evo.models import save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec, models, robots
-from sysid_evo.system import Channel, System
+from sysid_evo.rigid_body import RigidBody
+from sysid_evo.system import Channel, System, rigid_body_states
 from sysid_evo.testing import ExampleDynamics, example_dataset
 from sysid_evo.testing.examples import pendulum, switched_car
 from tests.fixtures.known_models import recording
@@ -216,7 +217,7 @@ def test_controls_at_rest_are_a_row_where_they_may_bring_something(name, baselin
         ({"generations": 59}, ["recurrent"]),
         ({"starts": "start(controller=pid), start(controller=linear)"}, ["pid", "linear"]),
         ({"starts": ""}, ["recurrent"]),
-        ({"task": "set_point(channels=angle, low=-1, high=1)"}, ["recurrent"]),
+        ({"task": "set_point(channels=angle, low=-1, high=1)"}, ["linear", "feed_forward", "recurrent"]),
     ],
 )
 def test_the_task_of_an_environment_is_searched_from_several_starts_unless_one_is_asked_for(settings, starts):
@@ -224,6 +225,40 @@ def test_the_task_of_an_environment_is_searched_from_several_starts_unless_one_i
     planned = plan_comparison(Experiment(robot=robot, models=("linear",), reference=False, **settings))
     evolution = planned.matrix.controllers[0].settings.evolution
     assert [start.controller.name for start in evolution.all_starts] == starts
+
+
+FLYING = System(
+    rigid_body_states(RigidBody(), speed=10.0, rate=10.0), (Channel("thrust", "N", 0.0, 10.0),), 0.02, RigidBody()
+)
+
+
+@pytest.mark.parametrize(
+    ("settings", "starts"),
+    [
+        ({}, ["linear", "feed_forward", "recurrent"]),
+        ({"controller": "linear"}, ["linear"]),
+        ({"generations": 59}, ["recurrent"]),
+        ({"procedure": "plain"}, ["recurrent"]),
+        ({"starts": "start(controller=pid)"}, ["pid"]),
+    ],
+)
+def test_a_body_in_space_is_searched_from_several_starts_unless_one_is_asked_for(settings, starts):
+    states = np.cumsum(np.random.default_rng(0).normal(size=(400, 9)), axis=0)
+    recorded = Dataset.from_arrays(FLYING, [states], [np.zeros((399, 1))])
+    planned = plan_comparison(Experiment(models=("linear",), task="hover", **settings), dataset=recorded)
+    evolution = planned.matrix.controllers[0].settings.evolution
+    assert [start.controller.name for start in evolution.all_starts] == starts
+    again = plan_comparison(Experiment.of(planned.experiment.model_dump()), dataset=recorded)
+    assert again.plan.cells == planned.plan.cells
+
+
+def test_the_simulator_of_another_package_is_searched_from_several_starts():
+    task = "set_point(channels=angle, low=-1, high=1)"
+    experiment = Experiment(task=task)
+    system = System([Channel("angle", "rad")], [Channel("u", low=-1.0, high=1.0)], dt=0.05)
+    assert with_starts(experiment, system, Spec("gymnasium", {"id": "Pendulum-v1"})).starts
+    assert with_starts(experiment, system, Spec("pendulum")) is experiment
+    assert with_starts(experiment, system) is experiment
 
 
 def test_controls_at_rest_are_no_row_where_they_are_known_to_bring_nothing():
