@@ -1,8 +1,5 @@
 """A passenger car of the package commonroad-vehicle-models, which slides and drifts: single-track or multi-body."""
 
-# mypy: disallow-untyped-defs=False, check-untyped-defs=False, disallow-untyped-calls=False
-# (Numba infers the types of the compiled functions, and some of their names are bound when they are compiled)
-
 from __future__ import annotations
 
 import math
