@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -161,13 +161,20 @@ def compiled_advance(model: str, vehicle: int) -> Callable[..., Any]:
     return compiled
 
 
-def rate_of_car(state, acceleration, steering):
+if TYPE_CHECKING:  # bound when the functions are compiled
+    equations: Callable[..., Any]
+    vehicle: Any
+    first: int
+    end: int
+
+
+def rate_of_car(state: Array, acceleration: float, steering: float) -> Array:
     """The rate of change of the state; the model limits the speed of the steering."""
     request = 0.0 if acceleration < 0.0 and state[3] < BRAKES else acceleration
     return np.array(equations(list(state), [(steering - state[2]) / SERVO, request], vehicle))
 
 
-def advance_car(state, acceleration, steering, dt, steps):
+def advance_car(state: Array, acceleration: float, steering: float, dt: float, steps: int) -> Array:
     """Return the state after ``steps`` steps of the classical Runge-Kutta method; no wheel turns backwards."""
     for _ in range(steps):
         k1 = rate_of_car(state, acceleration, steering)
