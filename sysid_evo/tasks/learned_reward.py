@@ -1,5 +1,5 @@
 # mypy: disable-error-code="no-untyped-def, no-untyped-call"
-"""Reward and end of an episode as polynomials of state, control and next state; their reference and compiled forms."""
+"""Reward and end of an episode as functions of state, control and next state; their reference and compiled forms."""
 
 from __future__ import annotations
 
@@ -28,10 +28,12 @@ class LearnedReward:
     then the change of each state, all minus ``centre`` and divided by ``scale`` (m,). Polynomials of degree 2 have the
     coefficients of 1, of the features, and of the products i <= j:
 
-    - ``step`` of all features: the reward of a step that does not end the episode, to which a network with ``inner``
-      (h, 1 + m) and ``outer`` (h,) weights adds outer @ tanh(inner @ [1, features]); h may be 0;
-    - ``end``, of the first r: the episode ends where it is positive, and where one of the ``limits`` (k, 3) is passed:
-      sign * (feature - value) > 0, with the columns feature, sign, value;
+    - ``step`` of all features: the reward of a step that does not end the episode. ``distances`` (d, 4) add to it, see
+      `distance_values`, and a network with ``inner`` (h, 1 + m) and ``outer`` (h,) weights adds
+      outer @ tanh(inner @ [1, features]); d and h may be 0;
+    - ``end``, of the first r: the episode ends where it is positive, after ``trees`` (t, 22) are added, see
+      `tree_values`, and where one of the ``limits`` (k, 3) is passed: sign * (feature - value) > 0, with the columns
+      feature, sign, value;
     - ``last``, of the first r, or of all: the reward of the step that ends it. With two ``levels`` (2,) it is the
       second of these where the polynomial is positive, else the first.
 
@@ -41,9 +43,11 @@ class LearnedReward:
     centre: Array
     scale: Array
     step: Array
+    distances: Array
     inner: Array
     outer: Array
     end: Array
+    trees: Array
     last: Array
     limits: Array
     levels: Array
@@ -63,14 +67,16 @@ class LearnedReward:
         """Return the rewards (B,) of steps, and whether each ended its episode (B,)."""
         features = (raw_features(system, before, control, after) - self.centre) / self.scale
         reached = features[:, : self.n_reached]
-        over = polynomial(self.end, reached) > 0.0
+        over = polynomial(self.end, reached) + tree_values(self.trees, reached) > 0.0
         for place, sign, value in self.limits:
             over |= sign * (reached[:, int(place)] - value) > 0.0
         last = polynomial(self.last, features[:, : _features_in(len(self.last))])
         if len(self.levels):
             last = np.where(last > 0.0, self.levels[1], self.levels[0])
-        step = (polynomial(self.step, features) + network(self.inner, self.outer, features)).clip(*self.range[:2])
-        return np.where(over, last.clip(*self.range[2:]), step), over
+        step = polynomial(self.step, features) + network(self.inner, self.outer, features)
+        if len(self.distances):
+            step += distance_values(self.distances, system, before, control, after) @ self.distances[:, 0]
+        return np.where(over, last.clip(*self.range[2:]), step.clip(*self.range[:2])), over
 
     def parameters(self, system: System) -> Array:
         """Return the parameters of `judge_lanes`, flat."""
@@ -86,6 +92,9 @@ class LearnedReward:
             self.end,
             self.last,
             self.limits,
+            self.distances,
+            self.trees,
+            [*system.neutral_state, *system.neutral_control],
         ]
         levels = self.levels if len(self.levels) else (0.0, 0.0)
         starts = np.cumsum([HEAD.size, *(np.size(table) for table in tables)])
@@ -93,6 +102,7 @@ class LearnedReward:
             *tables,
             **{"nx": system.nx, "nu": system.nu, "m": m, "r": r, "limits": len(self.limits)},
             **{"n_last": _features_in(len(self.last)), "hidden": len(self.outer)},
+            **{"n_distances": len(self.distances), "n_trees": len(self.trees)},
             **dict(zip(OFFSETS, starts[:-1], strict=True)),
             **{"two": float(len(self.levels) > 0), "first": levels[0], "second": levels[1]},
             **dict(zip(("low", "high", "last_low", "last_high"), self.range, strict=True)),
@@ -114,12 +124,16 @@ class LearnedReward:
         m, r = len(found.centre), found.n_reached
         shapes = [getattr(found, name).shape for name in ARRAYS]
         last = (n_terms(m if len(found.last) == n_terms(m) else r),)
-        h = len(found.outer)
-        wanted = [(m,), (m,), (n_terms(m),), (h, 1 + m), (h,), (n_terms(r),), last, (len(found.limits), 3), None, (4,)]
+        h, inside = len(found.outer), (len(found.distances), 4)
+        wanted = [(m,), (m,), (n_terms(m),), inside, (h, 1 + m), (h,), (n_terms(r),), (len(found.trees), TREE), last,
+                  (len(found.limits), 3), None, (4,)]  # fmt: skip
         if any(b is not None and a != b for a, b in zip(shapes, wanted, strict=True)) or r > m:
             raise InvalidArgument(f"learned reward: its arrays do not fit each other: {shapes}")
         if not all(np.isfinite(getattr(found, name)).all() for name in ARRAYS):
             raise InvalidArgument("learned reward: expected finite numbers")
+        for places, count in ((found.distances[:, 1:3], m - r), (found.trees[:, :NODES], r)):
+            if (places < 0).any() or (places >= count).any():
+                raise InvalidArgument("learned reward: a distance or a tree is of a feature that does not exist")
         return found
 
     def fits(self, system: System) -> bool:
@@ -128,7 +142,9 @@ class LearnedReward:
         return self.n_reached == r and len(self.centre) == r + system.nu + system.nx
 
 
-ARRAYS = ("centre", "scale", "step", "inner", "outer", "end", "last", "limits", "levels", "range")
+ARRAYS = (
+    "centre", "scale", "step", "distances", "inner", "outer", "end", "trees", "last", "limits", "levels", "range"
+)  # fmt: skip
 
 
 def raw_features(system: System, before: Array, control: Array, after: Array) -> Array:
@@ -166,7 +182,52 @@ def network(inner: Array, outer: Array, features: Array) -> Array:
     return values
 
 
-OFFSETS = ("periods", "centre", "factor", "step", "inner", "outer", "end", "last", "bounds")
+def distance_values(table: Array, system: System, before: Array, control: Array, after: Array) -> Array:
+    """Return the values (B, d) of distances, the rows of ``table`` (d, 4): weight, first, second, change.
+
+    The first and the second are places among the states and, after them, the controls, as offsets a and b from their
+    neutral values (of a periodic state the shorter way). The value is sqrt(a**2 + b**2) after the step, |a| if both are
+    the same; with a change of 1 that before the step is subtracted. Such a sum over an episode depends on its first and
+    last state alone.
+    """
+    first, second = table[:, 1].astype(np.int64), table[:, 2].astype(np.int64)
+    both, change = (first != second).astype(np.float64), table[:, 3]
+    neutral, pushed = system.neutral_state, control - system.neutral_control
+
+    def lengths(state: Array) -> Array:
+        offsets = np.concatenate([system.difference(state, np.broadcast_to(neutral, state.shape)), pushed], axis=1)
+        values: Array = np.sqrt(offsets[:, first] ** 2 + both * offsets[:, second] ** 2)
+        return values
+
+    return lengths(after) - change * lengths(before)
+
+
+DEPTH = 3
+"""Comparisons of a tree from its root to a leaf."""
+NODES, LEAVES = 2**DEPTH - 1, 2**DEPTH
+TREE = 2 * NODES + LEAVES
+"""Numbers of a tree: the feature and the threshold of each node, and the value of each leaf."""
+
+
+def tree_values(trees: Array, features: Array) -> Array:
+    """Return the sum (B,) of the values of ``trees`` (t, 22) at ``features`` (B, n).
+
+    The nodes of a tree are numbered level by level; the next one is 2 k + 2 after node k if its feature is above its
+    threshold, else 2 k + 1. The first leaf follows the last node.
+    """
+    total, rows = np.zeros(len(features)), np.arange(len(features))
+    for tree in trees:
+        places, thresholds, values = tree[:NODES].astype(np.int64), tree[NODES : 2 * NODES], tree[2 * NODES :]
+        node = np.zeros(len(features), dtype=np.int64)
+        for _ in range(DEPTH):
+            node = 2 * node + 1 + (features[rows, places[node]] > thresholds[node])
+        total += values[node - NODES]
+    return total
+
+
+OFFSETS = (
+    "periods", "centre", "factor", "step", "inner", "outer", "end", "last", "bounds", "lengths", "forest", "neutral"
+)  # fmt: skip
 HEAD = Layout(
     "nx",
     "nu",
@@ -175,6 +236,8 @@ HEAD = Layout(
     "n_last",
     "hidden",
     "limits",
+    "n_distances",
+    "n_trees",
     *OFFSETS,
     "two",
     "first",
@@ -190,7 +253,8 @@ SUMS = 4
 
 def scratch_rows(learned: LearnedReward) -> int:
     """Return the number of rows of 64 numbers that `judge_lanes` needs."""
-    return SUMS + len(learned.centre)
+    m = len(learned.centre)
+    return SUMS + m + (2 * (m - learned.n_reached) if len(learned.distances) else 0)
 
 
 def polynomial_lanes(value, features, n, coefficients):
@@ -211,6 +275,49 @@ def polynomial_lanes(value, features, n, coefficients):
                 for lane in range(LANES):
                     value[lane] += factor * one[lane] * other[lane]
             place += 1
+
+
+def distances_lanes(value, before, control, after, offsets, p):
+    """Add the distances to the row ``value``; ``offsets`` has room for states and controls, twice."""
+    nx, nu = int(p[HEAD.nx]), int(p[HEAD.nu])
+    periods, neutral, table = view(p, int(p[HEAD.periods])), view(p, int(p[HEAD.neutral])), view(p, int(p[HEAD.lengths]))
+    earlier = view(offsets, (nx + nu) * LANES)
+    for i in range(nx):
+        for lane in range(LANES):
+            offsets[i * LANES + lane] = after[i * LANES + lane] - neutral[i]
+            earlier[i * LANES + lane] = before[i * LANES + lane] - neutral[i]
+        if periods[i] > 0.0:
+            for lane in range(LANES):
+                off, old = offsets[i * LANES + lane], earlier[i * LANES + lane]
+                offsets[i * LANES + lane] = off - periods[i] * nearest(off / periods[i])
+                earlier[i * LANES + lane] = old - periods[i] * nearest(old / periods[i])
+    for i in range(nu):
+        for lane in range(LANES):
+            pushed = control[i * LANES + lane] - neutral[nx + i]
+            offsets[(nx + i) * LANES + lane] = pushed
+            earlier[(nx + i) * LANES + lane] = pushed
+    for k in range(int(p[HEAD.n_distances])):
+        weight, i, j, change = table[4 * k], int(table[4 * k + 1]), int(table[4 * k + 2]), table[4 * k + 3]
+        both = 0.0 if i == j else 1.0
+        one, other = view(offsets, i * LANES), view(offsets, j * LANES)
+        for lane in range(LANES):
+            value[lane] += weight * math.sqrt(one[lane] * one[lane] + both * other[lane] * other[lane])
+        if change > 0.0:
+            old, old_other = view(earlier, i * LANES), view(earlier, j * LANES)
+            for lane in range(LANES):
+                value[lane] -= weight * math.sqrt(old[lane] * old[lane] + both * old_other[lane] * old_other[lane])
+
+
+def trees_lanes(value, features, count, forest):
+    """Add the values of ``count`` trees to the row ``value``."""
+    for k in range(count):
+        tree = view(forest, k * TREE)
+        for lane in range(LANES):
+            node = 0
+            for _ in range(DEPTH):
+                shown = features[int(tree[node]) * LANES + lane]
+                node = 2 * node + (2 if shown > tree[NODES + node] else 1)
+            value[lane] += tree[NODES + node]
 
 
 def judge_lanes(before, control, after, scratch, p):
@@ -259,7 +366,10 @@ def judge_lanes(before, control, after, scratch, p):
                 hidden[lane] += weight * shown[lane]
         for lane in range(LANES):
             scratch[lane] += factor_out * math.tanh(hidden[lane])
+    if p[HEAD.n_distances] > 0.0:
+        distances_lanes(scratch, before, control, after, view(features, m * LANES), p)
     polynomial_lanes(end, features, r, view(p, int(p[HEAD.end])))
+    trees_lanes(end, features, int(p[HEAD.n_trees]), view(p, int(p[HEAD.forest])))
     polynomial_lanes(last, features, int(p[HEAD.n_last]), view(p, int(p[HEAD.last])))
     bounds = view(p, int(p[HEAD.bounds]))
     for k in range(int(p[HEAD.limits])):

@@ -5,13 +5,27 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from sysid_evo.data import Dataset
 from sysid_evo.data.trajectory import TERMINATED
 from sysid_evo.errors import InvalidData
-from sysid_evo.tasks.learned_reward import LearnedReward, n_terms, network, polynomial, raw_features, terms_of
+from sysid_evo.system import System
+from sysid_evo.tasks.learned_reward import (
+    DEPTH,
+    NODES,
+    TREE,
+    LearnedReward,
+    distance_values,
+    n_terms,
+    network,
+    polynomial,
+    raw_features,
+    terms_of,
+    tree_values,
+)
 from sysid_evo.types import Array, BoolArray, IntArray
 
 FOLDS = 5
@@ -39,8 +53,8 @@ HORIZON = 20.0
 class RewardQuality:
     """Held-out errors of a learned reward.
 
-    ``error`` and ``last_error`` are root mean squares over the standard deviation, of rewards of steps and of those
-    that ended an episode (nan without ends); ``found`` is the share of recorded ends that were predicted, nan without
+    ``error`` and ``last_error`` are root mean squares, of rewards of steps and of those that ended an episode (nan
+    without ends), over their standard deviation, the latter over that of all rewards if it is larger; ``found`` is the share of recorded ends that were predicted, nan without
     ends, ``wrong`` the number of wrong ends in 1,000 steps. ``forms`` name what was fitted.
     """
 
@@ -78,8 +92,15 @@ class RewardQuality:
 
 @dataclass(frozen=True)
 class _Steps:
-    """N steps: scaled ``features`` (N, m), ``rewards``, whether they ``ended`` the episode, and their ``fold`` (N,)."""
+    """N steps: scaled ``features`` (N, m), ``rewards``, whether they ``ended`` the episode, and their ``fold`` (N,).
 
+    ``before`` (N, nx), ``control`` (N, nu) and ``after`` (N, nx) are those of ``system``.
+    """
+
+    system: System
+    before: Array
+    control: Array
+    after: Array
     features: Array
     rewards: Array
     ended: BoolArray
@@ -101,15 +122,20 @@ def fit_reward(dataset: Dataset) -> tuple[LearnedReward, RewardQuality]:
     steps, centre, scale = _steps_of(dataset)
     going, r = ~steps.ended, steps.n_reached
     step, step_form, error = _fitted(steps.features[going], steps.rewards[going], steps.fold[going])
-    inner, outer = np.zeros((0, 1 + len(centre))), np.zeros(0)
+    distances, inner, outer = np.zeros((0, 4)), np.zeros((0, 1 + len(centre))), np.zeros(0)
+    if error > ROUGH:
+        with_distances = _with_distances(steps, going, error)
+        if with_distances is not None:
+            step, distances, step_form, error = with_distances
     if error > ROUGH:
         found_network = _network(steps.features[going], steps.rewards[going], steps.fold[going], error)
         if found_network is not None:
             step, inner, outer, error = found_network
-            step_form = f"linear terms and a network of {len(outer)} units"
-    end, limits, end_form, found, wrong = _end(steps)
-    last, levels, last_form, last_error = _last(steps, step if not len(outer) else None)
+            distances, step_form = np.zeros((0, 4)), f"linear terms and a network of {len(outer)} units"
+    end, trees, limits, end_form, found, wrong = _end(steps)
+    last, levels, last_form, last_error = _last(steps, None if len(outer) or len(distances) else step)
     paid, final = steps.rewards[going], steps.rewards[steps.ended]
+    last_error *= float(final.std() / max(final.std(), steps.rewards.std(), 1e-12)) if len(final) else 1.0
     low, high = (paid.min(), paid.max()) if len(paid) else (final.min(), final.max())
     final_low, final_high = (final.min(), final.max()) if len(final) else (low, high)
     wider, final_wider = MARGIN * (high - low), 0.5 * MARGIN * (final_high - final_low)
@@ -117,9 +143,11 @@ def fit_reward(dataset: Dataset) -> tuple[LearnedReward, RewardQuality]:
         centre=centre,
         scale=scale,
         step=step,
+        distances=distances,
         inner=inner,
         outer=outer,
         end=end,
+        trees=trees,
         last=last,
         limits=limits,
         levels=levels,
@@ -155,16 +183,19 @@ def _steps_of(dataset: Dataset) -> tuple[_Steps, Array, Array]:
         ended[-1] = episode.ending == TERMINATED
         fold = np.full(count, number % FOLDS) if len(paid) >= EPISODES else FOLDS * np.arange(count) // count
         features = raw_features(system, episode.states[:-1], episode.controls, episode.states[1:])
-        parts.append((features, rewards, ended, fold.astype(np.int64)))
-    features, rewards, ended, fold = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    if len(rewards) > MOST_STEPS:
-        kept = np.random.default_rng(0).random(len(rewards)) < MOST_STEPS / len(rewards)
-        kept |= ended
-        features, rewards, ended, fold = features[kept], rewards[kept], ended[kept], fold[kept]
+        moved = episode.states[:-1], episode.controls, episode.states[1:]
+        parts.append((*moved, features, rewards, ended, fold.astype(np.int64)))
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    ended, count = columns[5], len(columns[5])
+    if count > MOST_STEPS:
+        kept = np.random.default_rng(0).random(count) < MOST_STEPS / count
+        columns = [column[kept | ended] for column in columns]
+    before, control, after, features, rewards, ended, fold = columns
     centre, spread = features.mean(axis=0), features.std(axis=0)
     scale: Array = np.where(spread > 1e-9 * np.maximum(1.0, np.abs(centre)), spread, 1.0)
     n_reached = system.nx + len(system.periods)
-    return _Steps((features - centre) / scale, rewards, ended, fold, n_reached), centre, scale
+    features = (features - centre) / scale
+    return _Steps(system, before, control, after, features, rewards, ended, fold, n_reached), centre, scale
 
 
 FORMS = ("constant", "linear", "polynomial of degree 2 without products", "polynomial of degree 2")
@@ -211,7 +242,7 @@ def _fitted(features: Array, targets: Array, fold: IntArray) -> tuple[Array, str
     columns = _columns(form, n)
     coefficients = np.zeros(n_terms(n))
     chosen = whole[:, columns]
-    coefficients[columns] = _solved(chosen.T @ chosen, chosen.T @ targets, ridge, len(targets))
+    coefficients[columns] = _ridge(chosen, targets, ridge)
     return coefficients, FORMS[form], error / spread
 
 
@@ -220,6 +251,10 @@ def _solved(gram: Array, products: Array, ridge: float, count: int) -> Array:
     penalty = np.full(len(gram), ridge * count)
     penalty[0] = 1e-9 * count
     return np.asarray(np.linalg.solve(gram + np.diag(penalty), products), dtype=np.float64)
+
+
+def _ridge(terms: Array, targets: Array, ridge: float) -> Array:
+    return _solved(terms.T @ terms, terms.T @ targets, ridge, len(targets))
 
 
 def _ridge_errors(terms: Array, targets: Array, fold: IntArray) -> Iterator[tuple[float, float]]:
@@ -239,11 +274,61 @@ def _ridge_errors(terms: Array, targets: Array, fold: IntArray) -> Iterator[tupl
 
 ROUGH = 0.02
 """Held-out error of a polynomial from which a network is tried."""
+BETTER = 0.8
+"""Another form is used if its held-out error is at most this multiple of the polynomial's."""
+
+
+def _with_distances(steps: _Steps, going: BoolArray, error: float) -> tuple[Array, Array, str, float] | None:
+    """Return terms, distances, form and held-out error of a polynomial with distances; None if hardly better.
+
+    Candidates are the size of each control, and of each state and each pair of states the distance from neutral and its
+    change in the step. Of these, those with the largest weights are kept, as few as have the same held-out error.
+    """
+    system, n = steps.system, steps.features.shape[1]
+    rows, columns = np.triu_indices(system.nx)
+    if 1 + n + system.nu + 2 * len(rows) > MOST_TERMS:
+        rows = columns = np.arange(system.nx)
+    own = system.nx + np.arange(system.nu)
+    first, second = np.concatenate([own, rows, rows]), np.concatenate([own, columns, columns])
+    change = np.arange(len(first)) >= len(own) + len(rows)
+    table = np.stack([np.ones(len(first)), first, second, change], axis=1).astype(np.float64)
+    values = distance_values(table, system, steps.before[going], steps.control[going], steps.after[going])
+    size = values.std(axis=0)
+    table, values, size = table[size > 0.0], values[:, size > 0.0], size[size > 0.0]
+    values, whole, targets, fold = values / size, terms_of(steps.features[going]), steps.rewards[going], steps.fold[going]
+    found = []
+    for form in (1, 3):
+        used = whole[:, _columns(form, n)]
+        if used.shape[1] + len(size) > min(MOST_TERMS, len(targets) // STEPS_PER_TERM):
+            continue
+        off, ridge = min((off, ridge) for ridge, off in _ridge_errors(np.hstack([used, values]), targets, fold))
+        found.append((off, form, ridge))
+    if not found or min(found)[0] > BETTER * error * targets.std():
+        return None
+    lowest, form, ridge = next(one for one in found if one[0] <= SIMPLER * min(found)[0])
+    used = whole[:, _columns(form, n)]
+    weights = _ridge(np.hstack([used, values]), targets, ridge)[used.shape[1] :]
+    kept, off = np.argsort(-np.abs(weights), kind="stable"), lowest
+    for count in 2 ** np.arange(int(np.log2(len(size))) + 1):
+        terms = np.hstack([used, values[:, kept[:count]]])
+        off = dict(_ridge_errors(terms, targets, fold))[ridge]
+        if off <= SIMPLER * lowest:
+            kept = kept[:count]
+            break
+    else:
+        off = lowest
+    weights = _ridge(np.hstack([used, values[:, kept]]), targets, ridge)
+    step = np.zeros(n_terms(n))
+    step[_columns(form, n)] = weights[: used.shape[1]]
+    table = table[kept]
+    table[:, 0] = weights[used.shape[1] :] / size[kept]
+    terms_name = "linear terms" if form == 1 else FORMS[form]
+    return step, table, f"{terms_name} and {len(table)} distance{'s' * (len(table) > 1)}", off / float(targets.std())
+
+
 UNITS, WEIGHT_PENALTY, ITERATIONS = 24, 1e-4, 400
 OF_NETWORK = 6000
 """Number of steps that a network is fitted to."""
-BETTER = 0.8
-"""A network is used if its held-out error is at most this multiple of the polynomial's."""
 
 
 def _network(features: Array, targets: Array, fold: IntArray, error: float) -> tuple[Array, Array, Array, float] | None:
@@ -294,48 +379,63 @@ def _trained(features: Array, targets: Array) -> tuple[Array, Array, Array]:
 NEVER = "none"
 
 
-def _end(steps: _Steps) -> tuple[Array, Array, str, float, float]:
-    """Return score, limits, form, share of the ends found and wrong ends in 1,000 steps of the end of an episode."""
+def _end(steps: _Steps) -> tuple[Array, Array, Array, str, float, float]:
+    """Return score, trees, limits, form, share of the ends found and wrong ends in 1,000 steps.
+
+    Trees are tried where the cost of the simple forms is above `ROUGH_END`; it is the share of the ends that are not
+    found, plus the wrong ends in `HORIZON` steps.
+    """
     r, ended = steps.n_reached, steps.ended
     never = np.zeros(n_terms(r))
     never[0] = -1.0
-    none = np.zeros((0, 3))
     if ended.sum() < FEWEST_ENDS:
-        return never, none, NEVER, 0.0 if ended.any() else np.nan, 0.0
-    results = []
-    for form in END_FORMS:
-        over = np.zeros(len(ended), dtype=bool)
-        for k in np.unique(steps.fold):
-            held = steps.fold == k
-            if held.all() or not ended[~held].any():
-                continue
-            score, limits = _end_of(form, steps.reached[~held], ended[~held])
-            over[held] = _is_over(score, limits, steps.reached[held])
-        found, wrong = float(over[ended].mean()), float(over[~ended].mean()) if (~ended).any() else 0.0
-        results.append((1.0 - found + HORIZON * wrong, form, found, wrong))
+        return never, NO_TREES, np.zeros((0, 3)), NEVER, 0.0 if ended.any() else np.nan, 0.0
+    results = [_held_out_end(form, steps) for form in END_FORMS]
     lowest = min(results)[0]
-    _, form, found, wrong = next(one for one in results if one[0] <= lowest + 0.01)
-    score, limits = _end_of(form, steps.reached, ended)
-    return score, limits, form, found, 1000.0 * wrong
+    chosen = next(one for one in results if one[0] <= lowest + 0.01)
+    if lowest > ROUGH_END:
+        trees = _held_out_end(BOOSTED, steps)
+        chosen = trees if trees[0] <= BETTER * lowest else chosen
+    _, form, found, wrong = chosen
+    return (*_end_of(form, steps.reached, ended), form, found, 1000.0 * wrong)
 
 
-END_FORMS = ("limits of states", "linear limit", "quadratic limit")
+def _held_out_end(form: str, steps: _Steps) -> tuple[float, str, float, float]:
+    """Return cost, form, share of the ends found and share of wrong ends, in cross-validation."""
+    ended, over = steps.ended, np.zeros(len(steps.ended), dtype=bool)
+    for k in np.unique(steps.fold):
+        held = steps.fold == k
+        if held.all() or not ended[~held].any():
+            continue
+        over[held] = _is_over(*_end_of(form, steps.reached[~held], ended[~held]), steps.reached[held])
+    found, wrong = float(over[ended].mean()), float(over[~ended].mean()) if (~ended).any() else 0.0
+    return 1.0 - found + HORIZON * wrong, form, found, wrong
 
 
-def _is_over(score: Array, limits: Array, reached: Array) -> BoolArray:
-    over: BoolArray = polynomial(score, reached) > 0.0
+END_FORMS, BOOSTED = ("limits of states", "linear limit", "quadratic limit"), "boosted trees"
+ROUGH_END = 0.1
+"""Cost of the simple forms of an end from which trees are tried."""
+NO_TREES = np.zeros((0, TREE))
+
+
+def _is_over(score: Array, trees: Array, limits: Array, reached: Array) -> BoolArray:
+    over: BoolArray = polynomial(score, reached) + tree_values(trees, reached) > 0.0
     for place, sign, value in limits:
         over |= sign * (reached[:, int(place)] - value) > 0.0
     return over
 
 
-def _end_of(form: str, reached: Array, ended: BoolArray) -> tuple[Array, Array]:
+def _end_of(form: str, reached: Array, ended: BoolArray) -> tuple[Array, Array, Array]:
+    """Return score, trees and limits of a form of the end."""
     r = reached.shape[1]
     score = np.zeros(n_terms(r))
     score[0] = -1.0
     if form == END_FORMS[0]:
-        return score, _limits(reached, ended)
-    return _classified(reached, ended, 1 if form == END_FORMS[1] else 3), np.zeros((0, 3))
+        return score, NO_TREES, _limits(reached, ended)
+    if form == BOOSTED:
+        score[0], trees = _boosted(reached, ended)
+        return score, trees, np.zeros((0, 3))
+    return _classified(reached, ended, 1 if form == END_FORMS[1] else 3), NO_TREES, np.zeros((0, 3))
 
 
 def _limits(reached: Array, ended: BoolArray) -> Array:
@@ -364,6 +464,49 @@ SHARPNESS = 1e4
 """Inverse penalty of logistic regression: limits are sharp."""
 MOST_OTHERS = 5000
 """Number of steps without an end that a limit is fitted to."""
+
+
+TREES, RATE, OF_EACH, FEWEST_IN_LEAF = 100, 0.15, 0.7, 5
+"""Number of trees, learning rate, share of the steps for each tree, and minimum number of steps in a leaf."""
+NOWHERE = 1e30
+"""Threshold of a node that is no decision."""
+
+
+def _boosted(reached: Array, ended: BoolArray) -> tuple[float, Array]:
+    """Return the intercept and the trees (t, 22) of gradient boosting that minimise the cost of the end.
+
+    Steps have the weights that they have in the cost: the end is at positive values.
+    """
+    from sklearn.ensemble import GradientBoostingClassifier
+
+    others = np.flatnonzero(~ended)
+    kept = np.random.default_rng(0).permutation(others)[:MOST_OTHERS]
+    rows = np.concatenate([np.flatnonzero(ended), kept])
+    weights = np.where(ended[rows], 1.0 / ended.sum(), HORIZON / max(len(kept), 1))
+    settings = {"n_estimators": TREES, "max_depth": DEPTH, "learning_rate": RATE, "subsample": OF_EACH}
+    law = GradientBoostingClassifier(**settings, min_samples_leaf=FEWEST_IN_LEAF, random_state=0)
+    law.fit(reached[rows], ended[rows], sample_weight=weights * len(rows) / weights.sum())
+    prior = float(law.init_.class_prior_[1])
+    return float(np.log(prior / (1.0 - prior))), np.array([_complete(one.tree_) for one in law.estimators_[:, 0]])
+
+
+def _complete(tree: Any) -> Array:
+    """Return a tree of scikit-learn as a complete one of `DEPTH`, see `tree_values`."""
+    table = np.zeros(TREE)
+    table[NODES : 2 * NODES] = NOWHERE
+
+    def fill(place: int, node: int) -> None:
+        is_leaf = tree.children_left[node] < 0
+        if place >= NODES:
+            table[NODES + place] = RATE * tree.value[node, 0, 0]
+            return
+        if not is_leaf:
+            table[place], table[NODES + place] = tree.feature[node], tree.threshold[node]
+        fill(2 * place + 1, node if is_leaf else tree.children_left[node])
+        fill(2 * place + 2, node if is_leaf else tree.children_right[node])
+
+    fill(0, 0)
+    return table
 
 
 def _classified(reached: Array, positive: BoolArray, form: int) -> Array:

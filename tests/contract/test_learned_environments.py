@@ -1,5 +1,7 @@
 """Environments of others: their state is set where that can be checked, else their reward is learned."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,17 @@ def test_a_learned_task_keeps_the_contract_and_its_compiled_form_agrees():
     for robot in (robot_of(ROTOR), robot_of(ROTOR, angle="1,2"), robot_of(SLIDER)):
         task, _ = learned(robot, 1000)
         check_task("environment", robot.system, **task.parameters, horizon=30)
+
+
+def test_distances_and_trees_of_a_learned_task_have_the_same_compiled_form():
+    robot, rng = robot_of(ROTOR, angle="1,2"), np.random.default_rng(0)
+    spec, _ = learned(robot, 1000)
+    found = make_task(spec).learned
+    places = np.array([(0, 0, 0), (0, 1, 1), (1, 1, 1), (1, 1, 0), (2, 2, 0)], dtype=float)
+    distances = np.hstack([rng.standard_normal((len(places), 1)), places])
+    trees = [[*rng.integers(0, found.n_reached, 7), *rng.normal(0.0, 1.0, 7), *rng.normal(0.0, 0.5, 8)] for _ in range(9)]
+    further = replace(found, distances=distances, trees=np.array(trees), range=np.array([-99.0, 99.0, -99.0, 99.0]))
+    check_task("environment", robot.system, **{**spec.parameters, "learned": further.to_text()}, horizon=30)
 
 
 def test_the_task_of_a_robot_has_its_angles_and_settings():

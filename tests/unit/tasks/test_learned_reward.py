@@ -8,7 +8,7 @@ import pytest
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks.learned_reward import LearnedReward, terms_of
+from sysid_evo.tasks.learned_reward import LearnedReward, distance_values, terms_of
 from sysid_evo.tasks.reward_fit import fit_reward
 
 SYSTEM = System((Channel("x"), Channel("v")), (Channel("u", low=-1.0, high=1.0),), 0.1)
@@ -100,11 +100,45 @@ def test_a_crash_and_a_goal_are_told_apart_by_where_they_are():
 
 
 def test_a_reward_with_a_kink_is_learned_by_a_network():
-    learned, quality = fit_reward(made(lambda x, u, after: -abs(after[0] - 0.2), episodes=100, steps=20))
+    learned, quality = fit_reward(made(lambda x, u, after: -abs(after[0] - 0.6), episodes=100, steps=20))
     assert quality.forms[0] == "linear terms and a network of 24 units"
-    assert quality.error < 0.15  # a polynomial's is three times as large
-    for place in (-0.5, 0.2, 0.8):
-        assert judged(learned, [place, 0.0], [0.0], [place, 0.0])[0] == pytest.approx(-abs(place - 0.2), abs=0.15)
+    assert quality.error < 0.15  # a polynomial's and that with distances are three times as large
+    for place in (-0.5, 0.6, 0.8):
+        assert judged(learned, [place, 0.0], [0.0], [place, 0.0])[0] == pytest.approx(-abs(place - 0.6), abs=0.15)
+
+
+def test_a_change_of_distances_is_learned_and_its_sum_depends_on_both_ends_alone():
+    def approach(x, u, after):
+        return 10.0 * (np.hypot(*x) - np.hypot(*after)) - 0.3 * abs(u[0])
+
+    learned, quality = fit_reward(made(approach))
+    assert quality.error < 5e-3
+    assert quality.forms[0] in {f"linear terms and {count} distances" for count in (2, 4)}
+    far, near, still = np.array([3.0, 4.0]), np.array([0.3, 0.4]), [0.0]
+    assert judged(learned, far, still, 0.98 * far)[0] == pytest.approx(1.0, abs=0.05)
+    there, back = judged(learned, near, still, -near)[0], judged(learned, -near, still, near)[0]
+    assert there + back == pytest.approx(0.0, abs=0.05)
+
+
+def test_a_distance_of_an_angle_goes_the_shorter_way():
+    system = System((Channel("x", "rad", period=2.0 * np.pi, neutral=np.pi), Channel("v")), SYSTEM.controls, 0.1)
+    table = np.array([[1.0, 0, 0, 0.0], [1.0, 0, 1, 0.0], [1.0, 0, 0, 1.0], [1.0, 2, 2, 0.0]])
+    before, control, after = np.array([[-3.0, 0.0]]), np.array([[-0.5]]), np.array([[3.0, 1.0]])
+    off = np.pi - 3.0
+    wanted = [off, np.hypot(off, 1.0), 0.0, 0.5]
+    np.testing.assert_allclose(distance_values(table, system, before, control, after)[0], wanted, atol=1e-12)
+
+
+def test_an_end_inside_of_a_region_is_learned_by_trees():
+    def in_a_corner(after):
+        return (0.2 < after[0] < 0.8 and after[1] > 0.9) or (after[0] < -0.5 and -0.6 < after[1] < -0.1)
+
+    learned, quality = fit_reward(made(lambda *_: 1.0, ends=in_a_corner, episodes=150, steps=30))
+    assert quality.forms[1] == "boosted trees"
+    assert quality.found > 0.8  # simple forms find 66 % with three times as many wrong ones
+    assert quality.wrong < 25.0
+    for place, over in (([0.5, 1.5], True), ([-0.9, -0.35], True), ([0.5, 0.4], False), ([-0.9, 0.4], False)):
+        assert judged(learned, place, [0.0], place)[1] == over
 
 
 def test_an_angle_is_learned_by_its_sine_and_cosine_and_its_change_by_the_shorter_way():
@@ -123,6 +157,14 @@ def test_rewards_stay_near_the_recorded_ones_far_outside_of_the_data():
     paid = np.concatenate([episode.rewards for episode in made(quadratic)])
     reward, _ = judged(learned, [1e3, 0.0], [0.0], [1e3, 0.0])
     assert reward == pytest.approx(paid.min() - np.ptp(paid), abs=1e-3)
+
+
+def test_the_error_of_the_last_reward_is_small_where_it_hardly_varies_among_all_rewards():
+    def goal(after):
+        return 100.0 + np.sin(1e3 * after[1])
+
+    _, quality = fit_reward(made(lambda *_: 0.0, ends=lambda after: abs(after[0]) > 1.2, last=goal))
+    assert 0.02 < quality.last_error < 0.2
 
 
 def test_the_text_of_a_learned_reward_holds_all_of_it():
