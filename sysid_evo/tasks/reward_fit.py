@@ -295,7 +295,12 @@ def _with_distances(steps: _Steps, going: BoolArray, error: float) -> tuple[Arra
     values = distance_values(table, system, steps.before[going], steps.control[going], steps.after[going])
     size = values.std(axis=0)
     table, values, size = table[size > 0.0], values[:, size > 0.0], size[size > 0.0]
-    values, whole, targets, fold = values / size, terms_of(steps.features[going]), steps.rewards[going], steps.fold[going]
+    values, whole, targets, fold = (
+        values / size,
+        terms_of(steps.features[going]),
+        steps.rewards[going],
+        steps.fold[going],
+    )
     found = []
     for form in (1, 3):
         used = whole[:, _columns(form, n)]

@@ -59,7 +59,9 @@ def test_distances_and_trees_of_a_learned_task_have_the_same_compiled_form():
     found = make_task(spec).learned
     places = np.array([(0, 0, 0), (0, 1, 1), (1, 1, 1), (1, 1, 0), (2, 2, 0)], dtype=float)
     distances = np.hstack([rng.standard_normal((len(places), 1)), places])
-    trees = [[*rng.integers(0, found.n_reached, 7), *rng.normal(0.0, 1.0, 7), *rng.normal(0.0, 0.5, 8)] for _ in range(9)]
+    trees = [
+        [*rng.integers(0, found.n_reached, 7), *rng.normal(0.0, 1.0, 7), *rng.normal(0.0, 0.5, 8)] for _ in range(9)
+    ]
     further = replace(found, distances=distances, trees=np.array(trees), range=np.array([-99.0, 99.0, -99.0, 99.0]))
     check_task("environment", robot.system, **{**spec.parameters, "learned": further.to_text()}, horizon=30)
 
