@@ -54,8 +54,9 @@ class RewardQuality:
     """Held-out errors of a learned reward.
 
     ``error`` and ``last_error`` are root mean squares, of rewards of steps and of those that ended an episode (nan
-    without ends), over their standard deviation, the latter over that of all rewards if it is larger; ``found`` is the share of recorded ends that were predicted, nan without
-    ends, ``wrong`` the number of wrong ends in 1,000 steps. ``forms`` name what was fitted.
+    without ends), over their standard deviation, the latter over that of all rewards if it is larger; ``found`` is the
+    share of recorded ends that were predicted, nan without ends, ``wrong`` the number of wrong ends in 1,000 steps.
+    ``forms`` name what was fitted.
     """
 
     steps: int
