@@ -123,10 +123,14 @@ class Experiment(BaseModel):
         0.0, "State-estimate latency, such as 50ms, simulated in evolution and scoring", "Robustness", "TIME", ge=0.0
     )
     rounds: Positive | None = setting(
-        None, "Rounds of recording under the evolved controller and evolving on", "Budget", "N", shown="1"
-    )
+        None, "Rounds of recording under the evolved controller and evolving on", "Budget", "N",
+        shown="1; more if trials end early or the reward is learned",
+    )  # fmt: skip
     command_noise: float = setting(
         0.2, "Noise on the commands while a round is recorded, as a share of half their range", ge=0.0, lt=1.0
+    )
+    noisy_share: float | None = setting(
+        None, "Share of the episodes of a round with this noise; the others alone are compared", ge=0.0, le=1.0
     )
     max_steps: Positive = setting(20_000, "Most steps recorded in all rounds")
     preset: Literal["quick", "standard", "paper"] = setting(
@@ -211,14 +215,15 @@ Settings = TypedDict("Settings", {  # noqa: UP013  # several in a line
     "search_minutes": float, "trials": int | None, "repeats": int | None, "polish_generations": int | None,
     "selection_trials": int, "estimator_delay": float, "transfer_trials": int, "robot_trials": int | None,
     "traces": int, "reference": bool | None, "seed": int, "rounds": int | None, "command_noise": float,
-    "max_steps": int, "plugins": Sequence[str | Path],
+    "noisy_share": float | None, "max_steps": int, "plugins": Sequence[str | Path],
 }, total=False)  # fmt: skip
 """The keywords of `evaluation.compare`, for type checkers; see `Experiment`."""
 
 OF_CONTROLLERS = (
     "task", "controller", "baselines", "strategy", "procedure", "aggregate", "noise", "penalty", "starts", "schedule",
     "generations", "search_minutes", "trials", "repeats", "polish_generations", "selection_trials", "estimator_delay",
-    "transfer_trials", "robot_trials", "traces", "reference", "ensembles", "rounds", "command_noise", "max_steps",
+    "transfer_trials", "robot_trials", "traces", "reference", "ensembles", "rounds", "command_noise", "noisy_share",
+    "max_steps",
 )  # fmt: skip
 NO_CONTROLLERS = {"stop_after": ("fit", "prediction")}
 
@@ -247,18 +252,36 @@ IN_ROUNDS: Mapping[str, Any] = {
     "trials": 5,
     "repeats": 2,
     "reference": False,
+    "noisy_share": 1.0,
 }
-"""Settings of a comparison in rounds, unless they are given.
+"""Settings of a comparison in rounds on a robot whose trials end early, unless they are given.
 
 Lags and long horizons would leave nothing of episodes of five steps: with them the networks learned next to nothing.
+"""
+IN_LONGER_ROUNDS: Mapping[str, Any] = {
+    **IN_ROUNDS,
+    "models": (IN_ROUNDS["models"][1], "narx"),
+    "controller": "feed_forward(hidden=16)",
+    "generations": 1000,
+    "trials": 10,
+    "repeats": 1,
+    "noisy_share": 0.5,
+}
+"""Settings of a comparison in rounds on any other robot, unless they are given.
+
+Noise on the commands costs more than controllers differ, so half of the episodes have none.
 """
 FIRST_STEPS = 1600
 """Steps of the first recording of a comparison in rounds, unless its length is given."""
 
 
-def with_rounds(experiment: Experiment, dt: float) -> Experiment:
-    """Return an experiment in rounds with the settings `IN_ROUNDS` and a short first recording at ``dt`` (s)."""
-    usual = {name: value for name, value in IN_ROUNDS.items() if getattr(experiment, name) is None}
+def with_rounds(experiment: Experiment, dt: float, *, early: bool) -> Experiment:
+    """Return an experiment in rounds with the settings of rounds and a short first recording at ``dt`` (s).
+
+    They are `IN_ROUNDS` if trials end ``early``, else `IN_LONGER_ROUNDS`.
+    """
+    settings = IN_ROUNDS if early else IN_LONGER_ROUNDS
+    usual = {name: value for name, value in settings.items() if getattr(experiment, name) is None}
     if "minutes" not in experiment.model_fields_set:
         usual["minutes"] = max(0.1, FIRST_STEPS * dt / 60.0)
     return experiment.model_copy(update=usual)

@@ -25,7 +25,7 @@ from evaluation.cells.data import GivenData, HoldOut, RecordedData
 from evaluation.cells.learned_task import LearnTask, learning_cell, needed
 from evaluation.cells.models import Fit, LeaveConditionsOut, Predict, ScoreFit
 from evaluation.cells.plants import SLOW, Plant, runner_of, steps_in
-from evaluation.cells.rounds import ChooseRound, Round, RoundData, default_rounds, last_round
+from evaluation.cells.rounds import ChooseRound, Round, RoundData, default_rounds, last_round, trials_end_early
 from evaluation.cells.slow_models import slow_remarks, times_of_steps
 from evaluation.cells.slow_robots import has_reference, robot_trials
 from evaluation.chosen_models import ALL, ensembles_of, made, made_model, models_of, requested_models, without_preset
@@ -114,7 +114,8 @@ def plan_comparison(
         experiment = experiment.model_copy(update={"rounds": default_rounds(experiment, robot)})
     in_rounds = experiment.stop_after is None and (experiment.rounds or 1) > 1
     if in_rounds:
-        experiment = with_rounds(experiment, system.dt)
+        early = robot is not None and dataset is None and held is None and trials_end_early(experiment, robot)
+        experiment = with_rounds(experiment, system.dt, early=early)
     if experiment.stop_after is None:
         experiment = with_starts(with_task(experiment, (robot,)), system, robot)
     evolution = evolution_settings(experiment)

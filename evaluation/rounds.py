@@ -23,15 +23,17 @@ HOLDS = 0.1
 
 @dataclass(frozen=True)
 class RecordingRound:
-    """The controller of one round, and the episodes that were recorded under it and noise.
+    """The controller of one round, and the episodes that were recorded under it.
 
-    ``parameters`` (n,) are those of the controller. ``claimed`` (E,) is its fitness in the models, ``achieved`` (E,)
-    that of each episode on the robot; both under the same noise and over the same number of steps. ``steps`` (E,) are
-    the recorded ones. ``errors`` gives the error of each model `ERROR_STEPS` steps ahead on these episodes, in standard
-    deviations of the data; the models were fitted without them.
+    ``parameters`` (n,) are those of ``controller``, a spec as text. ``claimed`` (J,) is its fitness in the models,
+    ``achieved`` (J,) that of the judged episodes on the robot: those without noise on the commands, or all if each has
+    noise. Both are under the same conditions. ``steps`` (E,) are those of every episode. ``errors`` gives the error of
+    each model `ERROR_STEPS` steps ahead on these episodes, in standard deviations of the data; the models were fitted
+    without them.
     """
 
     number: int
+    controller: str
     parameters: Array
     claimed: Array
     achieved: Array
@@ -69,15 +71,22 @@ class RoundsSummary:
         return self.first + sum(int(one.steps.sum()) for one in self.rounds)
 
 
-def reason_to_end(known: Sequence[RecordingRound], last: RecordingRound, steps: int) -> str:
+def reason_to_end(
+    known: Sequence[RecordingRound], last: RecordingRound, steps: int, *, same_starts: bool = False
+) -> str:
     """Return why no round follows ``last``, empty if one does; ``known`` are those before it.
 
     Rounds end if the last two claims held and the last one gained nothing over the best before it. Its episodes must
-    have lasted all ``steps``, or a model must predict them: a claim of next to nothing holds easily.
+    have lasted all ``steps``, or a model must predict them: a claim of next to nothing holds easily. If the judged
+    episodes have the ``same_starts`` in all rounds, any rise counts, and neither of the last two may have gained.
     """
     settled = bool((last.steps >= steps).all()) or min(last.errors.values(), default=np.inf) <= PREDICTS
     if not known or not known[-1].holds or not last.holds or not settled:
         return ""
-    best = max(known, key=lambda one: float(one.achieved.mean()))
-    gains = float(last.achieved.mean()) > best.no_gain_over
+    if same_starts:
+        before = max((float(one.achieved.mean()) for one in known[:-1]), default=-np.inf)
+        gains = max(float(one.achieved.mean()) for one in (known[-1], last)) > before
+    else:
+        best = max(known, key=lambda one: float(one.achieved.mean()))
+        gains = float(last.achieved.mean()) > best.no_gain_over
     return "" if gains else "the claims of two rounds held, and the last one gained nothing"

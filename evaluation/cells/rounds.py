@@ -13,7 +13,7 @@ from evaluation.cells.controllers import CONTROLLERS, ControllerSettings, evolut
 from evaluation.cells.data import DATA, HoldOut, SplitDataset
 from evaluation.cells.learned_task import LearnTask, learned_task, needed
 from evaluation.cells.models import Fit
-from evaluation.cells.plants import ROLLOUT_STEPS_PER_SECOND, SLOW, Plant, fitted, labels_of, runners
+from evaluation.cells.plants import ROLLOUT_STEPS_PER_SECOND, Plant, fitted, labels_of, runners
 from evaluation.experiment import Experiment, default_task
 from evaluation.rounds import ERROR_STEPS, SHORT_EPISODE, RecordingRound, RoundsSummary, reason_to_end
 from evaluation.storage import load_result, save_result
@@ -32,34 +32,57 @@ from sysid_evo.registry import Spec, make_robot, models
 from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array, IntArray
 
-EPISODES, EPISODE_STEPS = 10, 100
-"""Number of episodes of a round, and the steps of each, if it does not end before."""
+ROUND_STEPS, EPISODE_STEPS = 1000, 100
+"""Most steps of a round, and of one of its episodes."""
 BEYOND = 1.2
 """Horizon of the evolution as a multiple of the episodes of a round."""
 FEWEST_EPISODES = 2
-DEFAULT_ROUNDS = 6
+DEFAULT_ROUNDS, MORE_ROUNDS = 6, 8
+"""Number of rounds by default: if trials end early, and if the reward is learned."""
+RECORDING_SECONDS = 100.0
 RANDOM_TRIALS = 4
-"""Number of trials under random commands that decide whether a robot is recorded in rounds."""
+"""Number of trials under random commands that show whether trials end early."""
 
 
 def default_rounds(experiment: Experiment, robot: Spec) -> int | None:
-    """Return `DEFAULT_ROUNDS` for a program whose trials end within `SHORT_EPISODE` steps under random commands.
+    """Return a number of rounds for a program whose trials end early, or whose task learns its reward; else None.
 
-    A recording of it shows little of what a good controller meets. None if the settings that rounds choose are given,
-    or the ``robot`` is compiled, physical or slow.
+    The first recording of such a robot shows little of what a good controller meets. None also if the settings that
+    rounds choose are given, or the ``robot`` is compiled, physical or slow.
     """
     if experiment.stop_after is not None or experiment.data_digest is not None:
         return None
     chosen = ("models", "controller", "strategy", "procedure", "starts", "generations", "reference", "ensembles")
     given = any(getattr(experiment, name) is not None for name in chosen) or experiment.schedule or experiment.penalty
-    made = make_robot(robot)
-    runner = None if given or made.physical or made.dynamics is not None else made.runner()
-    if runner is None or Plant(robot.label, robot.name, robot=robot).timed > SLOW:
+    if given or not _is_cheap(experiment, robot) or make_robot(robot).dynamics is not None:
         return None
-    task = make_task(experiment.task or default_task((robot,))).bind(made.system)
-    drive = runner.bind(make_controller("random"), task)
+    if trials_end_early(experiment, robot):
+        return DEFAULT_ROUNDS
+    learns = make_task(experiment.task or default_task((robot,))).needs_recording
+    return MORE_ROUNDS if learns else None
+
+
+def trials_end_early(experiment: Experiment, robot: Spec) -> bool:
+    """Return whether half of some trials of ``robot`` end within `SHORT_EPISODE` steps under random commands.
+
+    The trials are those of the task of ``experiment``. False for a robot that is physical or slow.
+    """
+    if not _is_cheap(experiment, robot):
+        return False
+    made, goal = make_robot(robot), Spec.parse(experiment.task or default_task((robot,)))
+    enough = min(SHORT_EPISODE, make_task(goal).bind(made.system).horizon)
+    runner = made.runner()
+    assert runner is not None
+    drive = runner.bind(make_controller("random"), make_task(with_horizon(goal, enough)))
     steps = drive(np.zeros((1, 0)), trial_seeds(experiment.seed, RANDOM_TRIALS)).survived
-    return DEFAULT_ROUNDS if np.median(steps) < min(SHORT_EPISODE, task.horizon) else None
+    return bool(np.median(steps) < enough)
+
+
+def _is_cheap(experiment: Experiment, robot: Spec) -> bool:
+    """Return whether ``robot`` is a program of which all steps of the rounds take at most `RECORDING_SECONDS`."""
+    if make_robot(robot).physical:
+        return False
+    return experiment.max_steps * Plant(robot.label, robot.name, robot=robot).timed <= RECORDING_SECONDS
 
 
 @dataclass(frozen=True)
@@ -81,9 +104,10 @@ class RoundsSoFar:
 class Round(CellSettings):
     """Round ``number``: fit ``specs`` to all data so far, evolve a controller in them, record ``robot`` under it.
 
-    The evolution starts from the best controller so far, a second run from the beginning. ``noise`` is that of
-    `Exploring`. No round follows one that gives a `reason_to_end`, or if fewer than `FEWEST_EPISODES` episodes are left
-    of ``max_steps`` recorded steps in all.
+    The evolution starts from the best controller so far, other runs from the beginning. ``noise`` is that of
+    `Exploring`, in a share ``noisy_share`` of the episodes. The others have the same starts in every round, and their
+    fitness alone is compared. No round follows one that gives a `reason_to_end`, or if fewer than `FEWEST_EPISODES`
+    episodes are left of ``max_steps`` recorded steps in all.
     """
 
     number: int
@@ -93,6 +117,7 @@ class Round(CellSettings):
     specs: tuple[Spec, ...]
     evolution: ControllerEvolution
     noise: float
+    noisy_share: float
     max_steps: int
     seed: int
     preset: str
@@ -110,7 +135,7 @@ class Round(CellSettings):
             needs=(self.data if self.previous is None else self.previous,),
             expected_seconds=sum(fit.expected_seconds for fit in fits)
             + 10.0 * rollouts * steps / ROLLOUT_STEPS_PER_SECOND
-            + EPISODES * EPISODE_STEPS * self.robot.step_seconds(),
+            + ROUND_STEPS * self.robot.step_seconds(),
         )
 
     def inputs(self) -> dict[str, Any]:
@@ -120,8 +145,8 @@ class Round(CellSettings):
             "models": [models.identity(spec) for spec in self.specs],
             **identity_of(self.evolution),
             "repeats": self.evolution.repeats,
-            "command_noise": self.noise,
-            "episodes": [EPISODES, EPISODE_STEPS, BEYOND],
+            "command_noise": [self.noise, self.noisy_share],
+            "episodes": [ROUND_STEPS, EPISODE_STEPS, BEYOND],
             "max_steps": self.max_steps,
             "seed": self.seed,
         }
@@ -129,42 +154,66 @@ class Round(CellSettings):
     def compute(self, work: CellContext) -> RoundsSoFar:
         before = RoundsSoFar.before_any(work.result(self.data)) if self.previous is None else work.result(self.previous)
         summary, dataset = before.summary, before.dataset
-        episodes = min(EPISODES, (self.max_steps - summary.steps) // EPISODE_STEPS)
+        longest = make_task(self.evolution.task).bind(dataset.system).horizon
+        steps = min(EPISODE_STEPS, longest)
+        episodes = min(ROUND_STEPS, self.max_steps - summary.steps) // steps
         if summary.ended:
             return before
         if episodes < FEWEST_EPISODES:
             return replace(before, summary=replace(summary, ended=f"{self.max_steps} recorded steps are the most"))
+        goal = recorded_task(self.evolution.task, dataset)
         learned = {spec.label: Fit(spec, self.data, self.seed, self.preset).learn(dataset) for spec in self.specs}
         known: Sequence[RecordingRound] = summary.rounds
         best = max(known, key=lambda one: float(one.achieved.mean()), default=None)
-        goal, horizon = recorded_task(self.evolution.task, dataset), round(BEYOND * EPISODE_STEPS)
         champion = evolve_controller(
             f"round {self.number}",
             learned,
             dataset.system,
-            replace(self.evolution, task=with_horizon(goal, horizon)),
+            replace(
+                continued(self.evolution, best), task=with_horizon(goal, min(round(BEYOND * EPISODE_STEPS), longest))
+            ),
             seed=cell_seed(self.seed, f"round {self.number}"),
             initial=None if best is None else best.parameters,
             progress=work.progress,
         )
-        seeds = trial_seeds(cell_seed(self.seed, "rounds"), episodes, generation=self.number)
-        law = Exploring(make_controller(champion.controller), self.noise)
-        task = make_task(with_horizon(goal, EPISODE_STEPS))
-        driven = self.robot.runner(work, delay=0.0).bind(law, task)(champion.parameters[None], seeds, record=True)
-        new = [replace(run, name=f"round-{self.number}-{i + 1}") for i, run in enumerate(driven.trajectories)]
+        task, law = make_task(with_horizon(goal, steps)), make_controller(champion.controller)
+        noisy = round(self.noisy_share * episodes)
+        seed = cell_seed(self.seed, "rounds")
+        conditions = [
+            (Exploring(law, self.noise), trial_seeds(seed, noisy, generation=self.number)),
+            (law, trial_seeds(seed, episodes - noisy)),
+        ]
+        conditions = [condition for condition in conditions if len(condition[1])]
+        robot = self.robot.runner(work, delay=0.0)
+        driven = [
+            robot.bind(driver, task)(champion.parameters[None], seeds, record=True) for driver, seeds in conditions
+        ]
+        recorded = [run for one in driven for run in one.trajectories]
+        new = [replace(run, name=f"round-{self.number}-{i + 1}") for i, run in enumerate(recorded)]
         if not new:
             raise InvalidData(f"round {self.number}: no step was recorded on {self.robot.label}")
-        claims = [DynamicsRunner(one).bind(law, task)(champion.parameters[None], seeds) for one in learned.values()]
+        driver, seeds = conditions[-1]
+        claims = [DynamicsRunner(one).bind(driver, task)(champion.parameters[None], seeds) for one in learned.values()]
         made = RecordingRound(
             number=self.number,
+            controller=champion.controller.text,
             parameters=champion.parameters,
             claimed=_claimed(claims, self.evolution.aggregate),
-            achieved=driven.fitness[0],
-            steps=driven.survived[0],
+            achieved=driven[-1].fitness[0],
+            steps=np.concatenate([one.survived[0] for one in driven]),
             errors={label: error_ahead(model, dataset, new) for label, model in learned.items()},
         )
-        summary = replace(summary, rounds=(*known, made), ended=reason_to_end(known, made, EPISODE_STEPS))
+        ended = reason_to_end(known, made, steps, same_starts=noisy < episodes)
+        summary = replace(summary, rounds=(*known, made), ended=ended)
         return RoundsSoFar(dataset.with_episodes([*dataset.episodes, *new]), summary)
+
+
+def continued(evolution: ControllerEvolution, best: RecordingRound | None) -> ControllerEvolution:
+    """Return ``evolution`` with the start first whose controller is that of ``best``, from which it continues."""
+    if best is None:
+        return evolution
+    starts = sorted(evolution.starts, key=lambda one: one.controller.text != best.controller)
+    return replace(evolution, starts=tuple(starts))
 
 
 def last_round(experiment: Experiment, robot: Plant | None, first: Cell, specs: tuple[Spec, ...]) -> Cell[Round]:
@@ -178,7 +227,8 @@ def last_round(experiment: Experiment, robot: Plant | None, first: Cell, specs: 
     for number in range(1, (experiment.rounds or 1) + 1):
         found = Round(
             number, first, found, robot, specs, evolution_settings(experiment), experiment.command_noise,
-            experiment.max_steps, experiment.seed, experiment.preset,
+            1.0 if experiment.noisy_share is None else experiment.noisy_share, experiment.max_steps, experiment.seed,
+            experiment.preset,
         ).cell()  # fmt: skip
     assert found is not None
     return found
@@ -240,8 +290,8 @@ class ChooseRound(ControllerSettings):
     """Choice among the controllers of all rounds: the highest mean fitness in the episodes recorded under it.
 
     Of those with all the fitness there is, the largest margin in ``members`` counts, models of all data: see
-    `lasting_fitness`. The finalists of the result are the controllers of all rounds, with their claims, and as
-    forecasts their fitness on the robot.
+    `lasting_fitness`. The finalists of the result are the controllers of all rounds that are of its kind, with
+    their claims, and as forecasts their fitness on the robot.
     """
 
     last: Cell[Round]
@@ -273,28 +323,32 @@ class ChooseRound(ControllerSettings):
         evolution, members = settings.evolution, fitted(self.members, work)
         task = learned_task(evolution.task, self.learned, work)
         system = found.dataset.system
-        candidates = np.stack([one.parameters for one in rounds])
         count = min(len(one.achieved) for one in rounds)
         by_trial = np.stack([one.achieved[:count] for one in rounds])
         scores = Scores(np.array([float(one.achieved.mean()) for one in rounds]), by_trial=by_trial)
         seeds, judges = trial_seeds(cell_seed(settings.seed, "choose round"), count), runners(members, work)
 
         def margins(rows: IntArray) -> Array:
-            return margins_of(lasting_fitness(candidates[rows], judges, evolution.controller, task, system, seeds))
+            lasting = [
+                lasting_fitness(one.parameters[None], judges, Spec.parse(one.controller), task, system, seeds)
+                for one in (rounds[row] for row in rows)
+            ]
+            return margins_of(np.concatenate(lasting))
 
-        winner = best_candidate(scores, make_task(task).bind(system).worst, margins)
+        winner = rounds[best_candidate(scores, make_task(task).bind(system).worst, margins)]
         finalists = tuple(
             Finalist(f"round {one.number}", 0, float(one.claimed.mean()), one.parameters, float(one.achieved.mean()))
             for one in rounds
+            if one.controller == winner.controller
         )
         return Champion(
             name=self.label,
-            parameters=candidates[winner],
+            parameters=winner.parameters,
             against=labels_of(members),
             aggregate=evolution.aggregate,
             seed=settings.seed,
             history=np.empty((0, 3)),
-            controller=evolution.controller,
+            controller=Spec.parse(winner.controller),
             task=task,
             system=system,
             finalists=finalists,

@@ -1,115 +1,131 @@
-"""Comparisons in rounds on environments that fall at once: ``python -m tests.benchmarks.rounds --out FOLDER``.
+"""Default comparisons beside reinforcement learning: ``python -m tests.benchmarks.rounds --out FOLDER``.
 
-For each of ``--ids`` and ``--seeds`` a comparison records in ``--rounds`` rounds, in a folder of its own in ``FOLDER``
-(finished ones are not repeated). Rewards and ends of the environments are functions of their observations, with
-``--own`` they are learned. Prints the recorded steps, the mean return of the chosen controller over ``--trials``
-episodes of 1000 steps in the environment, the round it comes from, the return of controls at rest, and the wall time.
+For each of ``--ids`` and ``--seeds`` the default comparison is made in a folder of its own in ``FOLDER``; finished ones
+are not repeated. Returns are means over ``--trials`` episodes in a loop of ``env.step``: of the exported Python file of
+the recommended controller, of SAC after as many steps of the environment (PPO for discrete actions), of a controller of
+the same kind after ``--generations`` generations on the environment itself, and of controls at rest.
 """
 
 from __future__ import annotations
 
 import argparse
+import runpy
 import sys
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeAlias
 
+import gymnasium
 import numpy as np
 from rich.table import Table
+from stable_baselines3 import PPO, SAC
 
-from evaluation.rounds import ROUNDS
 from evaluation.running import compare
-from evaluation.transfer import transfer_seeds
 from hardware.simulators.gymnasium_robot import GymnasiumRobot
-from sysid_evo.controllers.controller import make_controller
-from sysid_evo.evolution import Champion
+from sysid_evo.evolution import Champion, ControllerEvolution, evolve_controller
 from sysid_evo.evolution.champion import load_champion
-from sysid_evo.tasks.task import make_task
+from sysid_evo.export import exported_controller, python_text
 from tests.benchmarks.markdown import add_markdown, print_tables
 
-REWARDS = Path(__file__).with_name("pendulum_rewards.py")
-"""The plugin with the rewards, which every process loads."""
+IDS = (
+    "InvertedPendulum-v5", "InvertedDoublePendulum-v5", "Reacher-v5", "CartPole-v1", "Acrobot-v1", "Pendulum-v1",
+    "MountainCarContinuous-v0",
+)  # fmt: skip
+FIRST_SEED = 1000
+"""Seed of the first episode in which returns are measured."""
+
+Act: TypeAlias = Callable[[Any], Any]
+"""The raw action for a raw observation."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """The settings of the robot of one environment, and its task."""
-
-    settings: Mapping[str, str]
-    task: str
-
-    def robot(self, name: str) -> GymnasiumRobot:
-        return GymnasiumRobot(id=name, **self.settings)
-
-    def spec(self, name: str) -> str:
-        """Return the robot as text."""
-        return f"gymnasium({', '.join(f'{key}={value!r}' for key, value in {'id': name, **self.settings}.items())})"
-
-
-CASES: Mapping[str, Case] = {
-    "InvertedPendulum-v5": Case({"channels": "cart, pole, cart_speed, pole_speed"}, "inverted_pendulum"),
-    "InvertedDoublePendulum-v5": Case(
-        {
-            "angle": "3,1; 4,2",
-            "channels": "cart, pole [rad], second [rad], cart_speed, pole_speed, second_speed, constraint_force",
-        },
-        "inverted_double_pendulum",
-    ),
-}
+def returns(begin: Callable[[], Act], name: str, trials: int) -> list[float]:
+    """Return the return of each episode of the environment ``name``; ``begin`` is called before each of them."""
+    env, found = gymnasium.make(name), []
+    for trial in range(trials):
+        act, total, over = begin(), 0.0, False
+        observation, _ = env.reset(seed=FIRST_SEED + trial)
+        while not over:
+            observation, reward, terminated, truncated, _ = env.step(act(observation))
+            total, over = total + float(reward), terminated or truncated
+        found.append(total)
+    env.close()
+    return found
 
 
-def returns(champion: Champion, case: Case, name: str, trials: int) -> float:
-    """Return the mean return of a controller over episodes of the environment; the task's fitness is its mean."""
-    task, law = make_task(champion.task), make_controller(champion.controller)
-    run = case.robot(name).runner().bind(law, task)(champion.parameters[None], transfer_seeds(0, trials), record=True)
-    return float(np.mean([episode.total_reward for episode in run.trajectories]))
+def exported(champion: Champion, file: Path) -> Callable[[], Act]:
+    """Write the controller as a Python file, and return how it is made for an episode."""
+    file.write_text(python_text(exported_controller(champion)), encoding="utf-8")
+    made: Callable[[], Act] = runpy.run_path(str(file))["Controller"]
+    return made
+
+
+def learned(name: str, steps: int, seed: int) -> Callable[[], Act]:
+    """Return a policy after ``steps`` steps of the environment, with the settings of Stable-Baselines3."""
+    env = gymnasium.make(name)
+    discrete = isinstance(env.action_space, gymnasium.spaces.Discrete)
+    algorithm = (PPO if discrete else SAC)("MlpPolicy", env, seed=seed, device="cpu")
+    algorithm.learn(steps)
+    return lambda: lambda observation: algorithm.predict(observation, deterministic=True)[0]
+
+
+def evolved(champion: Champion, robot: GymnasiumRobot, generations: int, seed: int) -> Champion:
+    """Evolve a controller like ``champion`` on the environment itself."""
+    settings = ControllerEvolution(
+        generations=generations,
+        trials=3,
+        selection_trials=20,
+        task=champion.task,
+        controller=champion.controller,
+        strategy="cma_es(sigma=0.3)",
+    )
+    return evolve_controller("environment", {"environment": robot.runner()}, robot.system, settings, seed=seed)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark from the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--ids", default=",".join(CASES))
+    parser.add_argument("--ids", default=",".join(IDS))
     parser.add_argument("--seeds", default="0")
-    parser.add_argument("--rounds", type=int, default=6)
     parser.add_argument("--trials", type=int, default=40)
-    parser.add_argument("--own", action="store_true", help="the own task of the environment, a learned reward")
+    parser.add_argument("--generations", type=int, default=60)
     add_markdown(parser)
     given = parser.parse_args(arguments)
-    heads = ("environment", "seed", "steps", "returns of the rounds", "chosen", "its return", "rest", "clock s")
-    table = Table(*heads, title=f"at most {given.rounds} rounds, {given.trials} episodes", box=None)
-    table.columns[0].no_wrap = True
+    heads = (
+        "environment", "seed", "recorded steps", "rounds", "controller", "return", "lowest", "SAC or PPO",
+        "evolved on the environment", "rest", "comparison, s",
+    )  # fmt: skip
+    table = Table(*heads, title=f"default settings, {given.trials} episodes", box=None)
     for name in given.ids.split(","):
+        robot = GymnasiumRobot(id=name)
         for seed in map(int, given.seeds.split(",")):
-            case, folder, began = CASES[name], given.out / f"{name}-{seed}", time.perf_counter()
-            report = compare(
-                out=folder,
-                robot=case.spec(name),
-                task=None if given.own else case.task,
-                rounds=given.rounds,
-                seed=seed,
-                transfer_trials=20,
-                plugins=[REWARDS],
-            )
+            folder, began = given.out / f"{name}-{seed}", time.perf_counter()
+            report = compare(out=folder, robot=f"gymnasium(id={name!r})", seed=seed)
             clock = time.perf_counter() - began
             assert report.transfer is not None
-            assert report.rounds is not None
-            pick = report.transfer.pick or ROUNDS
-            champion, best = (
-                load_champion((folder / report.controllers[one]).with_suffix("")) for one in (pick, ROUNDS)
+            assert report.transfer.pick is not None
+            champion = load_champion((folder / report.controllers[report.transfer.pick]).with_suffix(""))
+            parts = (report.data.training, report.data.test)
+            steps = sum(part.n_steps for part in parts if part is not None)
+            rest, own = (
+                Champion.baseline("constant", champion.task, robot.system),
+                evolved(champion, robot, given.generations, seed),
             )
-            each = [
-                Champion("", one.parameters, (), "min", 0, np.empty((0, 3)), best.controller, best.task)
-                for one in report.rounds.rounds
+            figures = [
+                returns(begin, name, given.trials)
+                for begin in (
+                    exported(champion, folder / "recommended.py"),
+                    learned(name, steps, seed),
+                    exported(own, folder / "environment.py"),
+                    exported(rest, folder / "rest.py"),
+                )
             ]
-            reached = ", ".join(f"{returns(one, case, name, given.trials):.0f}" for one in each)
-            chosen = [one.number for one in report.rounds.rounds if np.array_equal(one.parameters, champion.parameters)]
-            rest = Champion.baseline("constant", champion.task, case.robot(name).system)
-            figures = [returns(one, case, name, given.trials) for one in (champion, rest)]
+            means = [f"{np.mean(one):.1f}" for one in figures]
+            rounds = "–" if report.rounds is None else str(len(report.rounds.rounds))
             table.add_row(
-                name, str(seed), str(report.rounds.steps), reached, f"{pick} {chosen[0] if chosen else ''}".strip(),
-                *(f"{figure:.0f}" for figure in figures), f"{clock:.0f}",
+                name, str(seed), str(steps), rounds, champion.controller.text, means[0], f"{min(figures[0]):.1f}",
+                *means[1:], f"{clock:.0f}",
             )  # fmt: skip
     print_tables([table], given.markdown)
     return 0

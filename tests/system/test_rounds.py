@@ -7,12 +7,13 @@ import pytest
 
 from evaluation.running import compare
 from sysid_evo.artefacts import read_artefact
+from sysid_evo.data import Dataset
 from sysid_evo.evolution.champion import load_champion
 
 SMALL = {
     "robot": 'gymnasium(id="CartPole-v1")', "rounds": 2, "models": ("linear", "nearest_neighbour"), "minutes": 0.3,
     "generations": 2, "trials": 2, "repeats": 1, "selection_trials": 2, "transfer_trials": 2, "traces": 0,
-    "max_steps": 5000,
+    "max_steps": 5000, "noisy_share": 0.4,
 }  # fmt: skip
 
 
@@ -26,7 +27,8 @@ def test_every_round_is_recorded_under_its_controller_and_what_it_achieves_is_ke
     folder, report = run
     first, second = report.rounds.rounds
     assert report.rounds.steps == report.rounds.first + first.steps.sum() + second.steps.sum()
-    np.testing.assert_array_equal(first.achieved, first.steps)  # 1 for every step until the pole falls
+    assert (len(first.achieved), len(first.steps)) == (6, 10)  # four episodes have noise on the commands
+    np.testing.assert_array_equal(first.achieved, first.steps[4:])  # 1 for every step until the pole falls
     assert set(first.errors) == {"linear", "nearest_neighbour"}
     names = [episode.name for part in (report.data.training, report.data.test) for episode in part]
     assert sum(name.startswith("round-2-") for name in set(names)) == 10
@@ -35,6 +37,14 @@ def test_every_round_is_recorded_under_its_controller_and_what_it_achieves_is_ke
     best = [one.parameters for one in report.rounds.rounds if one.achieved.mean() >= 0.99 * most]
     assert any(np.array_equal(chosen.parameters, parameters) for parameters in best)
     assert [one.behaviour_class for one in chosen.finalists] == ["round 1", "round 2"]
+
+
+def test_episodes_without_noise_begin_the_same_in_all_rounds_and_those_with_noise_do_not(run):
+    folder, _ = run
+    (whole,) = (Dataset.load(path / "data") for path in (folder / "rounds").glob("round-2-*"))
+    begins = {episode.name: episode.states[0] for episode in whole}
+    same = [np.array_equal(begins[f"round-1-{i}"], begins[f"round-2-{i}"]) for i in range(1, 11)]
+    assert same == [False] * 4 + [True] * 6
 
 
 @pytest.mark.nightly

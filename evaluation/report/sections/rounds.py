@@ -14,9 +14,13 @@ COLUMNS = ("round", "steps\nin all", "steps an\nepisode", "claimed", "achieved",
 
 
 class RoundPart(Part):
-    """One round: ``claimed`` in the models, ``achieved`` and ``steps`` of each episode, ``errors`` of each model."""
+    """One round: ``claimed`` in the models, ``achieved`` and ``steps`` of each episode, ``errors`` of each model.
+
+    ``parameters`` are those of ``controller``.
+    """
 
     number: int
+    controller: str
     parameters: Numbers
     claimed: Numbers
     achieved: Numbers
@@ -71,7 +75,8 @@ def rounds_table(report: ComparisonResults) -> TableElement | None:
 
 
 NOTE = (
-    "Claimed, achieved: mean fitness in the models and in the recorded episodes, both under noise on the commands. "
+    "Claimed, achieved: mean fitness in the models and in the recorded episodes, in both with noise on the commands if "
+    "every episode has it, else without. "
     "Error: of the models of the round on its new episodes, in standard deviations."
 )
 

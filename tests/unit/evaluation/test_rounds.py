@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.cells.rounds import ChooseRound, Round, RoundData, RoundsSoFar, error_ahead
+from evaluation.cells.rounds import ChooseRound, Round, RoundData, RoundsSoFar, continued, error_ahead
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
 from evaluation.report.report import brief, to_html
@@ -13,6 +13,7 @@ from evaluation.report.sections.rounds import rounds_sentence, rounds_table
 from evaluation.rounds import RecordingRound, RoundsSummary, reason_to_end
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.evolution import ControllerEvolution
 from sysid_evo.registry import make_robot, robot_spec
 from tests.fixtures.known_models import Known, fitted, recording
 from tests.fixtures.reports import matrix, printed, report
@@ -20,10 +21,11 @@ from tests.fixtures.reports import matrix, printed, report
 ROBOT = 'gymnasium(id="CartPole-v1")'
 
 
-def made(number, claimed, achieved, steps=None):
+def made(number, claimed, achieved, steps=None, controller="linear"):
     """Return a round with the fitness of its trials."""
     steps = np.full(len(achieved), 100) if steps is None else np.array(steps)
-    return RecordingRound(number, np.full(5, float(number)), np.array(claimed), np.array(achieved), steps, {"a": 0.3})
+    parameters = np.full(5, float(number))
+    return RecordingRound(number, controller, parameters, np.array(claimed), np.array(achieved), steps, {"a": 0.3})
 
 
 def test_each_round_needs_the_one_before_and_the_models_need_the_last():
@@ -59,7 +61,31 @@ def test_given_settings_replace_those_of_rounds():
     settings = round_.settings
     assert (str(settings.evolution.controller), settings.max_steps) == ("feed_forward", 500)
     assert (settings.evolution.generations, [spec.label for spec in settings.specs]) == (80, ["linear"])
-    assert settings.data.settings.minutes == 2.0
+    assert (settings.data.settings.minutes, settings.noisy_share) == (2.0, 1.0)
+    longer, *_ = plan_comparison(asked.model_copy(update={"robot": 'gymnasium(id="Pendulum-v1")'})).plan.of_kind(
+        "round"
+    )
+    evolution = longer.settings.evolution
+    assert (str(evolution.controller), evolution.generations, longer.settings.noisy_share) == (
+        "feed_forward",
+        1000,
+        0.5,
+    )
+
+
+def test_a_robot_whose_trials_last_gets_a_network_and_episodes_without_noise():
+    round_, *_ = plan_comparison(Experiment(robot='gymnasium(id="Pendulum-v1")', rounds=2)).plan.of_kind("round")
+    settings = round_.settings
+    assert (settings.evolution.controller.text, settings.noisy_share) == ("feed_forward(hidden=16)", 0.5)
+    assert [spec.label for spec in settings.specs] == ["mlp_ensemble", "narx"]
+
+
+def test_the_start_of_the_best_round_comes_first_and_continues_from_it():
+    starts = "start(controller=feed_forward), start(controller=linear)"
+    evolution = ControllerEvolution(starts=starts)
+    best = made(1, [1.0] * 2, [1.0] * 2, controller="linear")
+    assert [one.controller.text for one in continued(evolution, best).starts] == ["linear", "feed_forward"]
+    assert continued(evolution, None) is evolution
 
 
 def test_rounds_need_a_robot_that_is_a_program():
@@ -88,6 +114,16 @@ def test_rounds_end_if_two_claims_held_without_a_gain_in_whole_episodes():
     assert not reason_to_end([first], replace(falls, errors={"a": 2.0}), 100)
 
 
+def test_with_the_same_starts_rounds_end_if_neither_of_the_last_two_gained_at_all():
+    claim, level = np.full(4, 10.0), np.full(4, 10.0)
+    first, same, better = made(1, claim, level), made(2, claim, level), made(2, claim, level + 0.01)
+    third = made(3, claim, level)
+    assert reason_to_end([first, same], third, 100, same_starts=True)
+    assert not reason_to_end([first], same, 100, same_starts=True)  # one round without a gain
+    assert not reason_to_end([first, better], third, 100, same_starts=True)
+    assert not reason_to_end([first, same], replace(third, achieved=level + 0.01), 100, same_starts=True)
+
+
 class Work:
     """The context of a cell with fixed results of those that it needs."""
 
@@ -100,7 +136,8 @@ class Work:
 
 
 def test_after_the_end_a_round_changes_nothing_and_without_steps_left_there_is_none():
-    first = RoundsSoFar(recording(1, steps=80), RoundsSummary(first=900, first_episode=80))
+    data = Dataset.from_arrays(system(), [np.zeros((81, 4))], [np.zeros((80, 1))])
+    first = RoundsSoFar(data, RoundsSummary(first=900, first_episode=80))
     planned, *_ = plan_comparison(Experiment(robot=ROBOT, rounds=2, max_steps=1000)).plan.of_kind("round")
     over = replace(first, summary=replace(first.summary, ended="it ended"))
     step = replace(planned.settings, previous=0)
@@ -150,10 +187,15 @@ def test_the_controller_with_the_highest_recorded_fitness_is_chosen_among_all_ro
         Dataset.from_arrays(system(), [np.zeros((3, 4))], [np.zeros((2, 1))]), RoundsSummary(9, 9, ROUNDS)
     )
     chosen = replace(cell.settings, members=()).compute(Everything(found))
-    assert chosen.parameters[0] == 2.0
+    assert (chosen.parameters[0], chosen.controller.text) == (2.0, "linear")
     assert [(one.behaviour_class, one.fitness, one.forecast) for one in chosen.finalists] == [
         ("round 1", 30.0, 9.0), ("round 2", 20.0, 20.0), ("round 3", 40.0, 12.0),
     ]  # fmt: skip
+    others = replace(
+        found, summary=replace(found.summary, rounds=(replace(ROUNDS[0], controller="feed_forward"), *ROUNDS[1:]))
+    )
+    of_its_kind = replace(cell.settings, members=()).compute(Everything(others)).finalists
+    assert [one.behaviour_class for one in of_its_kind] == ["round 2", "round 3"]
 
 
 class Everything(Work):
@@ -176,9 +218,11 @@ class Everything(Work):
             {"robot": 'gymnasium(id="CartPole-v1")', "task": 'environment(id="CartPole-v1", horizon=8)'},
             None,
         ),
-        ({"robot": 'gymnasium(id="Pendulum-v1")'}, None),
+        ({"robot": 'gymnasium(id="Pendulum-v1")'}, None),  # its reward is known
+        ({"robot": 'gymnasium(id="Reacher-v5")'}, 8),  # its reward is learned
+        ({"robot": 'gymnasium(id="Reacher-v5")', "max_steps": 10_000_000}, None),  # an hour of steps
         ({"robot": "cart_pole", "task": "balance"}, None),
     ],
 )
-def test_a_program_whose_trials_end_early_is_recorded_in_rounds_unless_settings_of_rounds_are_given(settings, rounds):
+def test_a_program_whose_trials_end_early_or_whose_reward_is_learned_is_recorded_in_rounds(settings, rounds):
     assert plan_comparison(Experiment(**settings)).experiment.rounds == rounds
