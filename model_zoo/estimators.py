@@ -173,7 +173,7 @@ def written(estimator: Any) -> tuple[Format, bytes]:
     if name == "LGBMRegressor":
         return "lightgbm", json.dumps([one.booster_.model_to_string() for one in inner]).encode()
     if name == "XGBRegressor":
-        return "xgboost", json.dumps([bytes(one.get_booster().save_raw("json")).decode() for one in inner]).encode()
+        return "xgboost", json.dumps([_xgboost_text(one.get_booster()) for one in inner]).encode()
     try:
         data = _without_addresses(import_module(SKOPS).dumps(estimator))
         refused = _refused(data)
@@ -188,6 +188,13 @@ def written(estimator: Any) -> tuple[Format, bytes]:
             f"{type(estimator).__name__} cannot be stored: {', '.join(refused)} is not among the trusted types{hint}"
         )
     return "skops", data
+
+
+def _xgboost_text(booster: Any) -> str:
+    """Return the trees of ``booster`` that predict: with early stopping those up to the best iteration."""
+    if "best_iteration" in booster.attributes():
+        booster = booster[: booster.best_iteration + 1]
+    return bytes(booster.save_raw("json")).decode()
 
 
 ADDRESS = re.compile(r'(?<="__id__": )\d+|(?<="file": ")\d+')

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from model_zoo.estimators import estimator_class, fitted_estimator, make_estimator, read, written
-from model_zoo.features import Features, between_limits, integrals, next_state
+from model_zoo.compiled_forms import CompiledForm, compiled_form
+from model_zoo.estimators import Boosters, estimator_class, fitted_estimator, make_estimator, read, written
+from model_zoo.features import Features, between_limits, integrals, next_state, next_state_predictor
 from model_zoo.scaling import deviation
+from model_zoo.tree_ensembles import has_trees
 from sysid_evo import Adapter, Dataset, DynamicsModel, register_adapter, register_model
 from sysid_evo.errors import InvalidArgument, ShapeError, UnknownName
+from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.models.kernels import Predictor, with_angles
+from sysid_evo.models.kernels.outputs import scaled_outputs
+from sysid_evo.models.kernels.shells import SeenRow, of_functions
+from sysid_evo.models.kernels.stepping import StepNoise
 from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.stochastic import StochasticModel
 from sysid_evo.progress import Counter, Progress
@@ -35,10 +43,10 @@ class Regressor(StochasticModel):
     as a pipeline or a `GridSearchCV`, of which the best estimator is kept. A regressor of a single output is fitted for
     each state.
 
-    Inputs are the lagged states and controls, an angle as sine and cosine, divided by their deviations; outputs are
-    scaled, too. ``target`` is the change of the state in one step, or the next state (of positions and angles the
-    change, see `integrals`). Lags left at None are chosen by the simulation error over one second on held-out blocks of
-    time.
+    Inputs are the lagged states and controls, an angle as sine and cosine. Inputs and outputs are divided by their
+    deviations, except the inputs of trees, which are rounded to single precision. ``target`` is the change of the state
+    in one step, or the next state (of positions and angles the change, see `integrals`). Lags left at None are chosen
+    by the simulation error over one second on held-out blocks of time.
 
     With ``fitted`` the object is used as it is: its inputs are states, earlier states, earlier controls and controls in
     the units of the recordings, newest first, its outputs the ``target`` of all states.
@@ -127,11 +135,14 @@ class Regressor(StochasticModel):
         changed = np.ones(system.nx, dtype=bool) if self.target == "change" else integrals(dataset)
         targets = np.where(changed, system.difference(after, state), after)
         self.added_ = changed.astype(float)
-        self.input_centre_, self.input_scale_ = inputs.mean(axis=0), deviation(inputs)
         self.output_centre_, self.output_scale_ = targets.mean(axis=0), deviation(targets)
         unfitted = kept_object(self.estimator)
         unfitted = make_estimator(unfitted, self.settings) if isinstance(unfitted, str) else unfitted
-        inputs = (inputs - self.input_centre_) / self.input_scale_
+        self.single_ = has_trees(unfitted)
+        nothing = np.zeros(inputs.shape[1])
+        self.input_centre_ = nothing if self.single_ else inputs.mean(axis=0)
+        self.input_scale_ = nothing + 1.0 if self.single_ else deviation(inputs)
+        inputs = self._scaled(inputs)
         targets = (targets - self.output_centre_) / self.output_scale_
         found, self.converged_ = fitted_estimator(unfitted, inputs, targets, seed)
         self.__dict__["_regressor"] = found
@@ -146,7 +157,7 @@ class Regressor(StochasticModel):
         self.record_lags((0, 0))
         nx, names = self.system.nx, self.layout.input_names(self.system.state_names, self.system.control_names)
         self.added_ = np.full(nx, float(self.target == "change"))
-        self.input_centre_, self.input_scale_ = np.zeros(len(names)), np.ones(len(names))
+        self.input_centre_, self.input_scale_, self.single_ = np.zeros(len(names)), np.ones(len(names)), False
         self.output_centre_, self.output_scale_ = np.zeros(nx), np.ones(nx)
         expected = f"regressor: expected a fitted one with the inputs {', '.join(names)} and {nx} outputs"
         self._keep(regressor)
@@ -189,13 +200,50 @@ class Regressor(StochasticModel):
         """Whether the estimator is an object, or the text that names one, rather than a class name."""
         return not isinstance(self.estimator, str) or is_object_text(self.estimator)
 
+    @cached_property
+    def _compiled_form(self) -> CompiledForm | None:
+        from sklearn.multioutput import MultiOutputRegressor
+
+        regressor, seen = self._regressor, self.layout.size
+        if isinstance(regressor, Boosters):
+            regressor = MultiOutputRegressor(None)
+            regressor.estimators_ = self._regressor.boosters
+        return compiled_form(
+            regressor, seen if self.fitted else Features(self.system, self.lags).n_carry, self.system.nu
+        )
+
+    def predictor(self) -> Predictor | None:
+        """None for a regressor without a compiled form, see `compiled_form`; the model then runs in Python."""
+        if self._compiled_form is None:
+            return None
+        inner = self._compiled_form.predictor
+        if not self.fitted:
+            n_carry = Features(self.system, self.lags).n_carry
+            rows = [
+                SeenRow("", place - n_carry * (place >= n_carry), 1.0 / scale, centre, -np.inf, np.inf)
+                for place, (scale, centre) in enumerate(zip(self.input_scale_, self.input_centre_, strict=True))
+            ]
+            inner = inner if self.single_ else of_functions(inner, rows[:n_carry], rows[n_carry:])
+            inner = with_angles(inner, self.system, self.lags)
+            inner = scaled_outputs(inner, self.output_scale_, self.output_centre_)
+        return next_state_predictor(self.added_, inner)
+
+    def stepping(self, predictor: Predictor, noise: StepNoise | None = None) -> DynamicsKernel | None:
+        kernel, form = super().stepping(predictor, noise), self._compiled_form
+        return None if kernel is None or form is None else replace(kernel, precision=form.precision)
+
+    def _scaled(self, inputs: Array) -> Array:
+        """Return scaled inputs (N, m), those of trees rounded to single precision as in their compiled form."""
+        scaled = np.clip((inputs - self.input_centre_) / self.input_scale_, -FAR, FAR)
+        return scaled.astype(np.float32).astype(np.float64) if self.single_ else scaled
+
     def next_state(self, carry: Array, control: Array) -> Array:
         from sklearn import config_context
 
         join = (lambda a, b: np.concatenate([a, b], axis=1)) if self.fitted else Features(self.system, self.lags)
-        inputs = (join(carry, control) - self.input_centre_) / self.input_scale_
+        inputs = self._scaled(join(carry, control))
         known = np.isfinite(inputs).all(axis=1)
-        inputs = np.clip(np.where(known[:, None], inputs, 0.0), -FAR, FAR)
+        inputs = np.where(known[:, None], inputs, 0.0)
         with config_context(assume_finite=True, skip_parameter_validation=True):
             predicted = np.asarray(self._regressor.predict(inputs), dtype=np.float64).reshape(len(carry), -1)
         predicted = np.where(known[:, None], predicted * self.output_scale_ + self.output_centre_, np.nan)

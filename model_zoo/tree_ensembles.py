@@ -31,9 +31,17 @@ Ensemble: TypeAlias = tuple[list[Tree], Array]
 
 def ensemble_of(estimator: Any) -> Ensemble | None:
     """Return the trees of a fitted ``estimator``; None if its prediction is not the sum of their values."""
-    kind = type(estimator)
-    read = READERS.get(f"{kind.__module__.split('.')[0]}.{kind.__name__}")
+    read = READERS.get(_name(estimator))
     return None if read is None else read(estimator)
+
+
+def has_trees(estimator: Any) -> bool:
+    """Whether the class of ``estimator``, fitted or not, is among those that `ensemble_of` reads."""
+    return _name(estimator) in READERS
+
+
+def _name(estimator: Any) -> str:
+    return f"{type(estimator).__module__.split('.')[0]}.{type(estimator).__name__}"
 
 
 def _sklearn_tree(tree: Any, factor: float = 1.0) -> Tree:
@@ -82,7 +90,7 @@ IDENTITY_OBJECTIVES = ("regression", "regression_l1", "huber", "fair", "quantile
 
 
 def _lightgbm(estimator: Any) -> Ensemble | None:
-    booster = estimator.booster_
+    booster = getattr(estimator, "booster_", estimator)
     dump, head = booster.dump_model(), booster.model_to_string(num_iteration=1)
     objective = dump.get("objective", "").split()
     if not objective or objective[0] not in IDENTITY_OBJECTIVES or "sqrt" in objective or "average_output" in head:
@@ -110,7 +118,7 @@ IDENTITY_XGBOOST = ("reg:squarederror", "reg:absoluteerror", "reg:pseudohubererr
 
 
 def _xgboost(estimator: Any) -> Ensemble | None:
-    booster = estimator.get_booster()
+    booster = estimator.get_booster() if hasattr(estimator, "get_booster") else estimator
     if "best_iteration" in booster.attributes():
         booster = booster[: booster.best_iteration + 1]
     learner = json.loads(bytes(booster.save_raw("json")))["learner"]
@@ -137,7 +145,9 @@ READERS: Mapping[str, Callable[[Any], Ensemble | None]] = {
     **{f"sklearn.{kind.__name__}": _forest for kind in (RandomForestRegressor, ExtraTreesRegressor)},
     f"sklearn.{GradientBoostingRegressor.__name__}": _gradient_boosting,
     f"sklearn.{HistGradientBoostingRegressor.__name__}": _hist_gradient_boosting,
+    "lightgbm.Booster": _lightgbm,
     "lightgbm.LGBMRegressor": _lightgbm,
+    "xgboost.Booster": _xgboost,
     "xgboost.XGBRegressor": _xgboost,
     "xgboost.XGBRFRegressor": _xgboost,
 }

@@ -50,8 +50,8 @@ class Tree:
     """A binary tree of N nodes, parents before children, the root first.
 
     An inner node goes to ``left`` if input number ``feature`` is at most ``threshold``, else to ``right``; in a leaf
-    ``left`` is -1. The ``values`` (N, n) of the leaf are added to the outputs from number ``output`` on. The threshold
-    is rounded down to single precision, which changes no comparison with an input of that precision. nan goes left.
+    ``left`` is -1. The ``values`` (N, n) of the leaf are added to the outputs from number ``output`` on. Inputs
+    are rounded to single precision before they are compared. nan goes left.
     """
 
     feature: IntArray
@@ -151,7 +151,7 @@ def packed(tree: Tree) -> tuple[Array, int]:
         goal[leaves] = first_leaf + tree.values.shape[1] * np.arange(len(leaves))
         goal[below] = first_block + BLOCK * np.arange(len(below))
         blocks[:, 2 * SIDE :] = goal[blocks[:, 2 * SIDE :].astype(np.int64)]
-    threshold = rounded_down(tree.threshold)
+    threshold = between_singles(tree.threshold)
     columns = [
         np.stack([LANES * tree.feature, threshold, of_left, of_right], axis=1)
         for of_left, of_right in (
@@ -195,7 +195,7 @@ def blocks_of(tree: Tree, roots: IntArray) -> tuple[IntArray, Array]:
     A block is numbered like a heap: the children of node i are 2 i and 2 i + 1, the root is 1. A leaf that is reached
     early is carried down to the left.
     """
-    begun, blocks, threshold = [np.empty(0, dtype=np.int64)], [np.empty((0, BLOCK))], rounded_down(tree.threshold)
+    begun, blocks, threshold = [np.empty(0, dtype=np.int64)], [np.empty((0, BLOCK))], between_singles(tree.threshold)
     while len(roots):
         heap, block = np.zeros((len(roots), 2 * SIDE), dtype=np.int64), np.zeros((len(roots), BLOCK))
         heap[:, 1], block[:, SIDE] = roots, np.inf
@@ -214,11 +214,17 @@ def blocks_of(tree: Tree, roots: IntArray) -> tuple[IntArray, Array]:
     return np.concatenate(begun), np.concatenate(blocks)
 
 
-def rounded_down(numbers: Array) -> Array:
-    """Return the largest numbers of single precision that are not above ``numbers``: x <= both, or neither."""
+def between_singles(numbers: Array) -> Array:
+    """Return thresholds for which x, rounded to single precision, is at most ``numbers`` if x itself is at most these.
+
+    They lie just below the middle between the largest number of single precision that is not above the threshold, to
+    which they are rounded in single precision, and the next one.
+    """
     with np.errstate(over="ignore"):
         single = numbers.astype(np.float32)
-    return np.where(single > numbers, np.nextafter(single, np.float32(-np.inf)), single).astype(np.float64)
+        lower = np.where(single > numbers, np.nextafter(single, np.float32(-np.inf)), single)
+        gap = np.nextafter(lower, np.float32(np.inf)).astype(np.float64) - lower
+    return lower + np.where(np.isfinite(gap), (0.5 - 2.0**-20) * gap, 0.0)
 
 
 def summed_trees(x, u, p, y, scratch):
