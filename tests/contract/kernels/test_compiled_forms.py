@@ -32,7 +32,9 @@ from model_zoo.compiled_forms import compiled_form
 from model_zoo.tree_ensembles import ensemble_of
 from sysid_evo.errors import InvalidArgument, ShapeError
 from sysid_evo.kernels import LANES
+from sysid_evo.models.base import make_model
 from sysid_evo.models.kernels.trees import Tree, tree_predictor
+from sysid_evo.testing.models import kernel_step
 from tests.fixtures.lanes import predictions
 
 N_CARRY, N_CONTROL = 3, 2
@@ -139,6 +141,17 @@ def test_trees_branch_as_predict_at_their_thresholds(name):
     near = np.stack([rng.choice(one, LANES) for one in at], axis=1).astype(np.float32)
     sides = np.nextafter(near, np.float32(-np.inf)), near, np.nextafter(near, np.float32(np.inf))
     agree(estimator, np.choose(rng.integers(3, size=near.shape), sides).astype(float), 3e-6)
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_trees_of_a_model_branch_as_its_step_at_recorded_states(precision, throttle_car_data):
+    """Thresholds of histograms are recorded values, to which the inputs are equal."""
+    pytest.importorskip("skops")
+    model = make_model("regressor(max_iter=5, state_lags=0, control_lags=0)").fit(throttle_car_data)
+    run = throttle_car_data.episodes[0]
+    stepped = model.step(run.states[:-1], run.controls)
+    compiled = kernel_step(model.kernel(), run.states[:-1], run.controls, None, precision=precision)
+    np.testing.assert_allclose(compiled, stepped, atol=1e-5)
 
 
 def test_trees_of_many_inputs_find_theirs():
