@@ -242,11 +242,11 @@ class Regressor(StochasticModel):
 
         join = (lambda a, b: np.concatenate([a, b], axis=1)) if self.fitted else Features(self.system, self.lags)
         inputs = self._scaled(join(carry, control))
-        known = np.isfinite(inputs).all(axis=1)
-        inputs = np.where(known[:, None], inputs, 0.0)
+        known = np.isfinite(inputs).all(axis=1, keepdims=True)
+        inputs = np.where(known, inputs, 0.0)
         with config_context(assume_finite=True, skip_parameter_validation=True):
             predicted = np.asarray(self._regressor.predict(inputs), dtype=np.float64).reshape(len(carry), -1)
-        predicted = np.where(known[:, None], predicted * self.output_scale_ + self.output_centre_, np.nan)
+        predicted = np.where(known, predicted * self.output_scale_ + self.output_centre_, np.nan)
         return next_state(self.added_, carry[:, : self.system.nx], predicted)
 
 

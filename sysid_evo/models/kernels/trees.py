@@ -8,6 +8,7 @@ instruction, and their bits lead to one of eight children: a block or a leaf. La
 list of those that descend.
 """
 
+# mypy: allow-untyped-defs, allow-untyped-calls
 from __future__ import annotations
 
 from collections.abc import Sequence
