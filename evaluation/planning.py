@@ -137,7 +137,7 @@ def plan_comparison(
     if experiment.stop_after is None:
         column = _robot_column(experiment, robot, system, remarks)
         _check_control(evolution, system)
-        learned = learning_cell(evolution.task, data, dataset)
+        learned = learning_cell(evolution.task, experiment.search_minutes, data, dataset)
         farthest = _farthest(dataset, robot)
         if farthest is not None:
             remarks += evolution.make_task(system).feasibility_warnings(farthest)

@@ -31,8 +31,8 @@ class ComparisonResults(Displayed):
     ``failures`` are those outside ``prediction`` and ``matrix``, which contain their own. ``timings`` are in seconds;
     they and ``day`` alone differ between two equal runs. ``controllers`` gives the file of each controller, relative
     to the folder of the run. ``conditions`` are the errors of each model within and across conditions, if these were
-    left out. ``task_notes`` are the held-out errors of a reward that was learned, in words. ``day`` is that of the
-    last computed step, in UTC.
+    left out. ``task_notes`` are the held-out errors of a reward that was learned, in words, ``task_warning`` a
+    sentence if it is badly known. ``day`` is that of the last computed step, in UTC.
     """
 
     title: str
@@ -49,6 +49,7 @@ class ComparisonResults(Displayed):
     controllers: Mapping[str, str] = field(default_factory=dict)
     conditions: Mapping[str, tuple[ConditionError, ...]] = field(default_factory=dict)
     task_notes: tuple[str, ...] = ()
+    task_warning: str = ""
     rounds: RoundsSummary | None = None
     day: date | None = None
 

@@ -48,7 +48,6 @@ from sysid_evo.evolution import Champion, delayed_runner
 from sysid_evo.evolution.champion import load_champion
 from sysid_evo.models import Dynamics, DynamicsModel
 from sysid_evo.plan import Cell, Plan, Store, stored
-from sysid_evo.registry import Spec
 from sysid_evo.system import System
 from sysid_evo.tasks.task import make_task
 
@@ -115,7 +114,7 @@ def plan_evolution(experiment: Experiment, store: Store, members: Sequence[str])
         *slow_remarks(experiment, columns),
     )
     others = other_models(store, columns)
-    learned = _learned(evolution_settings(experiment).task, store)
+    learned = _learned(experiment, store)
     champion = controller_cell(experiment, columns, scoring_models=columns + others, learned=learned)
 
     def on(column: Plant) -> Cell[Run]:
@@ -137,11 +136,12 @@ def _settings(store: Store) -> Mapping[str, Any]:
     return Experiment.read(store.path) if (store.path / FILE).is_file() else {}
 
 
-def _learned(task: Spec, store: Store) -> Cell[LearnTask] | None:
-    """Return the cell in which ``task`` learns its reward from the data of the run in ``store``."""
+def _learned(experiment: Experiment, store: Store) -> Cell[LearnTask] | None:
+    """Return the cell in which the task learns its reward from the data of the run in ``store``."""
     record = store.find(_settings(store).get("data_digest", ""))
     data = None if record is None else stored(record)
-    return None if data is None else learning_cell(task, data)
+    task = evolution_settings(experiment).task
+    return None if data is None else learning_cell(task, experiment.search_minutes, data)
 
 
 def evolution_result(planned: EvolutionPlan, store: Store) -> EvolutionResult:

@@ -261,6 +261,7 @@ def gather_results(comparison: Comparison, store: Store) -> ComparisonResults:
     matrix = None if comparison.matrix is None else comparison.matrix.of(store.outcome)
     found = None if comparison.exploitability is None else store.outcome(comparison.exploitability).value
     computed = store.last_computed(comparison.plan)
+    learned = None if comparison.learned is None else store.outcome(comparison.learned).value
     data = DataSummary.of(training, training if test is None else test)
     return PrintedReport(
         title=comparison.title,
@@ -282,17 +283,12 @@ def gather_results(comparison: Comparison, store: Store) -> ComparisonResults:
             for label, cell in comparison.conditions.items()
             if (outcome := store.outcome(cell)).value is not None
         },
-        task_notes=_task_notes(comparison, store),
+        task_notes=() if learned is None else learned.sentences,
+        task_warning="" if learned is None else learned.warning,
         rounds=_rounds(comparison, store),
         timings={cell.title: store.outcome(cell).seconds for cell in comparison.plan},
         day=None if computed is None else computed.date(),
     )
-
-
-def _task_notes(comparison: Comparison, store: Store) -> tuple[str, ...]:
-    """Return sentences on the reward that the task has learned; none if it did not learn."""
-    learned = None if comparison.learned is None else store.outcome(comparison.learned).value
-    return () if learned is None else learned.sentences
 
 
 def _rounds(comparison: Comparison, store: Store) -> RoundsSummary | None:

@@ -248,15 +248,15 @@ class Polish(CellSettings):
         champion = work.result(self.chosen)
         if champion is None:
             raise Blocked(blocked_reason(self.chosen))
-        members = fitted(self.members, work)
+        members, evolution = fitted(self.members, work), with_learned_task(self.evolution, self.learned, work)
         return polish(
             self.label,
             champion,
             runners(accurate_plants(members, work) if self.accurate_only else members, work),
-            with_learned_task(self.evolution, self.learned, work),
+            evolution,
             seed=cell_seed(self.seed, "polish"),
             starts=self.starts,
-            generations=self.generations,
+            generations=round(self.generations * evolution.generations / self.evolution.generations),
             checkpoint=CheckpointFile(work.checkpoint),
             progress=work.progress,
         )

@@ -221,7 +221,9 @@ class EnvironmentTask(Task):
 
     def learn(self, dataset: Dataset) -> LearnedTask:
         reward, quality = fit_reward(dataset)
-        return LearnedTask({"learned": reward.to_text()}, quality.sentences)
+        settable = self.tried is not None and isinstance(self.tried.setter, StateSetter)
+        exact = {"exact": True} if settable else {}
+        return LearnedTask({"learned": reward.to_text()}, quality.sentences, quality.warning, exact)
 
     def rewarded_by(self, simulator: str) -> bool:
         return self.rules is None and simulator == self.id

@@ -43,8 +43,8 @@ MARGIN = 1.0
 SIMPLER = 1.02
 """A simpler form is used if its held-out error is at most this multiple of the lowest."""
 FEWEST_ENDS = 3
-LARGE = 0.2
-"""Held-out error from which the sentences warn."""
+LARGE, FEW_FOUND = 0.2, 0.6
+"""A reward is badly known from this held-out error on, or if fewer of the ends are found."""
 HORIZON = 20.0
 """Steps over which wrong ends are counted when forms of the end are compared."""
 
@@ -69,6 +69,18 @@ class RewardQuality:
     forms: tuple[str, str, str]
 
     @property
+    def warning(self) -> str:
+        """Why the reward is badly known, in a sentence; empty if it is not."""
+        reasons = []
+        if self.error > LARGE:
+            error, most = 100.0 * self.error, 100.0 * LARGE
+            reasons.append(f"held-out error {error:.2g} % of its standard deviation, at most {most:.2g} % is reliable")
+        if self.found < FEW_FOUND:
+            found, least = 100.0 * self.found, 100.0 * FEW_FOUND
+            reasons.append(f"{found:.0f} % of the ends of episodes are found, {least:.0f} % are needed")
+        return f"The learned reward is badly known: {'; '.join(reasons)}." if reasons else ""
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """The errors in words."""
         step, end, last = self.forms
@@ -76,11 +88,6 @@ class RewardQuality:
             f"Learned reward: {step} of state, control and next state; held-out error {100.0 * self.error:.2g} % of "
             f"its standard deviation ({self.steps:,} steps of {self.episodes:,} episodes)."
         ]
-        if self.error > LARGE:
-            wording.append(
-                "This error is large: claims in models are unreliable. Record longer, or use exact=true in the task if "
-                "the environment can be put into a state."
-            )
         if not self.ends:
             return (*wording, "Learned end: none; no recorded episode was terminated.")
         wording.append(

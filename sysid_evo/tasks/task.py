@@ -182,10 +182,16 @@ class Task(ABC):
 
 @dataclass(frozen=True)
 class LearnedTask:
-    """The ``parameters`` that a task has learned from a recording, and ``sentences`` on their held-out errors."""
+    """The ``parameters`` that a task has learned from a recording, and ``sentences`` on their held-out errors.
+
+    ``warning`` is a sentence on errors that are too large, else empty. ``exact`` are parameters with which the task
+    needs no learning but takes longer; empty if there are none.
+    """
 
     parameters: Mapping[str, str]
     sentences: tuple[str, ...]
+    warning: str = ""
+    exact: Mapping[str, bool] = field(default_factory=dict)
 
 
 def learn_task(task: Spec | str, dataset: Dataset) -> Spec:

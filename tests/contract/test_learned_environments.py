@@ -1,10 +1,12 @@
 """Environments of others: their state is set where that can be checked, else their reward is learned."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from evaluation.cells.learned_task import LearnedTaskResult, LearnTask, with_learned_task
 from evaluation.experiment import Experiment
 from evaluation.run_evolution import plan_evolution
 from evaluation.running import compare
@@ -15,10 +17,11 @@ from hardware.simulators.gymnasium_task import EnvironmentTask
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.errors import IncompatibleTask
-from sysid_evo.evolution import load_champion
+from sysid_evo.evolution import ControllerEvolution, load_champion
 from sysid_evo.models.base import make_model
-from sysid_evo.plan import Store
+from sysid_evo.plan import Cell, Store
 from sysid_evo.randomness import trial_seeds
+from sysid_evo.registry import Spec
 from sysid_evo.tasks.reward_fit import fit_reward
 from sysid_evo.tasks.task import learn_task, make_task
 from sysid_evo.testing import check_task
@@ -199,6 +202,61 @@ def test_a_comparison_learns_the_reward_and_its_run_evolves_further_with_it(tmp_
     assert paid.traces
     for trace in paid.traces:
         assert trace.fitness == pytest.approx(trace.trajectory.total_reward, abs=1e-6)
+
+
+class Lucky(environments.Rotor):
+    """A rotor whose rewards are noise."""
+
+    def step(self, action):
+        observation, _, *others = super().step(action)
+        return observation, self.np_random.normal(), *others
+
+
+class LuckySlider(environments.Slider):
+    """A block whose reward is a fast wave, which no form of a learned reward is; its state can be set."""
+
+    def step(self, action):
+        observation, _, *others = super().step(action)
+        return observation, float(np.sin(100.0 * self.state[0])), *others
+
+
+def quick_comparison(name, kind, folder):
+    import gymnasium
+
+    if name not in gymnasium.registry:
+        gymnasium.register(name, entry_point=kind, max_episode_steps=40)
+    quick = {"generations": 3, "trials": 2, "selection_trials": 3, "transfer_trials": 2, "procedure": "plain"}
+    return compare(robot=f'gymnasium(id="{name}")', models=("linear",), minutes=2.0, out=folder, jobs=1, **quick)
+
+
+def test_a_badly_known_reward_is_in_the_first_lines_of_the_report(tmp_path):
+    report = quick_comparison("Lucky-v0", Lucky, tmp_path)
+    assert "The learned reward is badly known" in report.task_warning
+    assert "register_reward, in a file for --plugin FILE" in report.task_warning
+    assert report.task_warning in " ".join(str(report).split())
+    page = (tmp_path / "report.html").read_text()
+    assert page.index("The learned reward is badly known") < page.index("<section")
+
+
+def test_a_badly_known_reward_is_asked_of_an_environment_that_can_be_put_into_a_state(tmp_path):
+    report = quick_comparison("LuckySlider-v0", LuckySlider, tmp_path)
+    assert not report.task_warning
+    (sentence,) = report.task_notes
+    assert "badly known" in sentence
+    assert "The environment is put into each state instead and gives its own reward" in sentence
+    (path,) = (tmp_path / "controllers").glob("linear-*.json")
+    assert load_champion(path).task.parameters["exact"] is True
+
+
+def test_searches_with_a_slow_task_have_the_generations_that_fit_into_their_time():
+    data = Cell(kind="data", name="data", title="data", settings=None, known_digest="data")
+    learned = LearnTask(Spec.parse("environment"), data, search_minutes=1.0).cell()
+    found = LearnedTaskResult("environment(exact=true)", (), step_seconds=1e-4)
+    work = SimpleNamespace(result={learned: found}.get)
+    evolution = ControllerEvolution(generations=300, trials=1)
+    assert 10 <= with_learned_task(evolution, learned, work).generations < 300
+    work = SimpleNamespace(result={learned: replace(found, step_seconds=0.0)}.get)
+    assert with_learned_task(evolution, learned, work).generations == 300
 
 
 @pytest.mark.parametrize(

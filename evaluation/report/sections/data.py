@@ -106,4 +106,6 @@ class DataPart(Part):
     def of(cls, report: ComparisonResults) -> DataPart:
         """Return the data of a report."""
         system = SystemPart.model_validate(report.data.system.to_dict())
-        return cls.made_of(report.data, system=system, notes=(*report.notes, *report.task_notes))
+        return cls.made_of(
+            report.data, system=system, notes=(*report.notes, *filter(None, [report.task_warning]), *report.task_notes)
+        )

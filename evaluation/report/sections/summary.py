@@ -45,13 +45,13 @@ def facts(report: ComparisonResults) -> str:
 
 
 def warnings(report: ComparisonResults) -> list[str]:
-    """Return a sentence on the steps that failed or are missing; empty if there are none."""
-    failures = report.all_failures
+    """Return sentences on a reward that is badly known, and on steps that failed or are missing."""
+    failures, badly_known = report.all_failures, [report.task_warning] if report.task_warning else []
     if not failures:
-        return []
+        return badly_known
     first = failures[0]
     reason = first.reason.splitlines()[0] if first.reason else "failed"
-    return [f"{_failed(report)}; all reasons are under This run. The first: {first.step}: {reason}"]
+    return [*badly_known, f"{_failed(report)}; all reasons are under This run. The first: {first.step}: {reason}"]
 
 
 def _failed(report: ComparisonResults) -> str:
@@ -83,6 +83,8 @@ def verdict(report: ComparisonResults) -> tuple[Answer, ...]:
         findings = [Answer("What was found?", "", (wording if compared else "Nothing was compared.",))]
     elif report.transfer is not None and (unknown := open_questions(report.transfer)):
         findings.append(Answer("What is not known?", "", unknown))
+    if report.task_warning:
+        findings.insert(0, Answer("Is the reward known?", "", (report.task_warning,), "warn"))
     if report.advice is not None and report.advice.remarks:
         remarks = tuple(remark.sentence for remark in report.advice.remarks[:SAID])
         findings.append(Answer(limits_question(report.advice), "", remarks))

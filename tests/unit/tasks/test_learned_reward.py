@@ -54,7 +54,7 @@ def test_a_reward_of_degree_two_in_state_control_and_next_state_is_recovered():
         assert reward == pytest.approx(quadratic(x, u, after), abs=5e-3)
         assert not over
     assert quality.error < 2e-3
-    assert not any("large" in sentence for sentence in quality.sentences)
+    assert not quality.warning
     assert quality.sentences[-1] == "Learned end: none; no recorded episode was terminated."
 
 
@@ -62,7 +62,7 @@ def test_a_reward_that_is_noise_has_a_held_out_error_of_one():
     rng = np.random.default_rng(1)
     _, quality = fit_reward(made(lambda *_: rng.standard_normal()))
     assert quality.error == pytest.approx(1.0, abs=0.03)
-    assert quality.sentences[1].startswith("This error is large: claims in models are unreliable. Record longer")
+    assert quality.warning.startswith("The learned reward is badly known: held-out error 1e+02 %")
 
 
 def test_episodes_end_where_recorded_ones_were_terminated_and_pay_what_the_last_step_paid():
@@ -97,6 +97,13 @@ def test_a_crash_and_a_goal_are_told_apart_by_where_they_are():
     assert judged(learned, [1.1, 2.0], [0.0], [1.3, 1.9])[0] == pytest.approx(100.0, abs=1e-3)
     assert judged(learned, [-1.1, -2.0], [0.0], [-1.3, -1.9])[0] == pytest.approx(-50.0, abs=1e-3)
     assert quality.last_error < 0.05
+
+
+def test_a_reward_is_badly_known_if_few_of_its_ends_are_found():
+    rng = np.random.default_rng(1)
+    _, quality = fit_reward(made(lambda *_: 1.0, ends=lambda _: rng.random() < 0.02))
+    assert "of the ends of episodes are found, 60 % are needed" in quality.warning
+    assert "standard deviation" not in quality.warning
 
 
 def test_a_reward_with_a_kink_is_learned_by_a_network():
