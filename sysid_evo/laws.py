@@ -20,6 +20,7 @@ import inspect
 import math
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from types import CodeType, FunctionType, ModuleType, SimpleNamespace
 from typing import Any, Literal
@@ -35,6 +36,8 @@ RENAMED = {
     "atanh": "arctanh", "pow": "power",
 }  # fmt: skip
 """Functions of `math` that have another name in NumPy."""
+SOURCE = "__sysid_evo_source__"
+"""The attribute of a function that holds its source, see `keep_source`."""
 LOGICAL = {"and": np.logical_and, "or": np.logical_or, "not": np.logical_not}
 
 
@@ -62,7 +65,7 @@ def read(function: Callable[..., Any], reading: LawReading) -> Callable[..., Any
     """Return ``function`` with the meaning of its elements given by ``reading``. Raises `InvalidArgument`."""
     plain = getattr(function, "py_func", function)
     try:
-        tree = ast.parse(textwrap.dedent(inspect.getsource(plain))).body[0]
+        tree = ast.parse(source_of(plain)).body[0]
     except (OSError, TypeError, SyntaxError) as error:
         raise InvalidArgument(
             f"function {plain.__qualname__}: its source cannot be read ({error}); write it with def in a file"
@@ -86,6 +89,17 @@ def read(function: Callable[..., Any], reading: LawReading) -> Callable[..., Any
         "_named": reading.named,
     }
     return FunctionType(body, {**own, **names}, plain.__name__)
+
+
+def keep_source(function: FunctionType) -> None:
+    """Attach the source of ``function`` to it, if it can be read, so that a process without its file can read it."""
+    with suppress(OSError, TypeError):
+        function.__dict__[SOURCE] = inspect.getsource(function)
+
+
+def source_of(function: FunctionType) -> str:
+    """Return the source of ``function`` without indentation. Raises `OSError` or `TypeError`."""
+    return textwrap.dedent(vars(function).get(SOURCE) or inspect.getsource(function))
 
 
 def _meaning(value: Any, reading: LawReading) -> Any:

@@ -6,7 +6,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cache, cached_property
 from types import FunctionType
 from typing import Any, Literal
 
@@ -48,8 +48,8 @@ class FunctionGreyBox(GreyBox):
     rotation of a body frame is not added.
 
     The default of ``p`` is a tuple of parameters, each a `Parameter` or ``(name, low, high)``. They are fitted as in
-    any grey box. Without ``p`` nothing is fitted. A function that kernels can read
-    (docs/extending/kernels.md) is compiled; others run in NumPy.
+    any grey box. Without ``p`` nothing is fitted. A function that kernels can read (docs/extending/kernels.md) is
+    compiled; others run in NumPy.
     """
 
     plugin_parameters = ("function",)
@@ -180,7 +180,10 @@ def _parameters(given: Any) -> tuple[Parameter, ...]:
     return tuple(found)
 
 
+@cache
 def _without_parameters(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return ``function`` with the arguments of a law, the same one each time, so that it is compiled once."""
+
     def law(x: Any, u: Any, p: Any) -> Any:  # noqa: ARG001  # the arguments of every law
         return function(x, u)
 

@@ -86,12 +86,12 @@ def named_in_plugin(text: str, kind: type) -> Any:
     """
     file, _, name = text.rpartition(".")
     found = {
-        path.stem: thing
-        for module in list(sys.modules.values())
-        if module.__name__.startswith(PREFIX)
-        and (path := Path(str(module.__file__))).stem in (file or path.stem,)
-        and isinstance(thing := vars(module).get(name), kind)
-        and getattr(thing, "__module__", "") == module.__name__
+        module.removeprefix(PREFIX): thing
+        for module, content in list(sys.modules.items())
+        if (not file or module == PREFIX + file)
+        and module.startswith(PREFIX)
+        and isinstance(thing := vars(content).get(name), kind)
+        and getattr(thing, "__module__", "") == module
     }
     if len(found) != 1:
         several = f"in several: write {' or '.join(f'{stem}.{name}' for stem in sorted(found))}" if found else "in none"

@@ -60,7 +60,14 @@ BUDGETS = {
         '"sindy": make_model("sindy")': '"sindy": make_model("linear")',
         "        generations=3,\n        trials=3,": f"\n        {SMALL},",
     },
-    "bring_your_model.md": {'"narx", Hist': '"linear", Hist', "    generations=20,": f"    {COMPARISON},"},
+    "bring_your_model.md": {
+        **{
+            block.text: "" for block in PAGES["bring_your_model.md"].blocks("python")[4:]
+        },  # they take seconds to import
+        '"narx", Hist': '"linear", Hist',
+        '"narx", my_car], generations=20,': '"linear", my_car], stop_after="prediction",',
+        " generations=20,": f" {COMPARISON},",
+    },
     "compare.md": {
         '    task="point_to_point(arena_radius=1.0)",': "",
         "    minutes=1.0,": "    minutes=0.3,",

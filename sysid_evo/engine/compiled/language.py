@@ -17,7 +17,6 @@ import ast
 import inspect
 import math
 import numbers
-import textwrap
 from collections.abc import Mapping
 from types import FunctionType, ModuleType
 from typing import Any
@@ -27,7 +26,7 @@ import numpy as np
 from sysid_evo.engine.compiled import elementary
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import LANES, WORDS, KernelSource, Layout, Precision, Signature, Source
-from sysid_evo.laws import RENAMED, ScalarLaw, lane_form, without_array
+from sysid_evo.laws import RENAMED, ScalarLaw, lane_form, source_of, without_array
 
 OF_NUMPY = {getattr(np, RENAMED.get(name, name)): function for name, function in vars(math).items()
             if isinstance(getattr(np, RENAMED.get(name, name), None), np.ufunc)}  # fmt: skip
@@ -251,7 +250,7 @@ def plain_function(function: Any) -> Any:
 
 def _parse(function: FunctionType) -> ast.FunctionDef:
     try:
-        tree = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
+        tree = ast.parse(source_of(function)).body[0]
     except (OSError, TypeError, SyntaxError) as error:
         raise InvalidArgument(
             f"kernel function {function.__qualname__}: its source cannot be read ({error}); "

@@ -1,8 +1,11 @@
 """A function of the user is a family: its form and meaning are found out, it is compiled, stored and fitted."""
 
+import linecache
+import pickle
 import re
 import sys
 
+import cloudpickle
 import numpy as np
 import pytest
 
@@ -130,3 +133,16 @@ def test_functions_with_the_same_name_and_other_values_are_different_objects():
         return law
 
     assert len({as_spec(scaled(factor)).text for factor in (1.0, 2.0)}) == 2
+
+
+def test_a_worker_reads_a_function_of_a_notebook(swinging):
+    """The source of a cell is known to the process of the notebook alone."""
+    text = "def law(x, u):\n    return [x[1] if x[1] > 0.0 else 2.0 * x[1], u[0]]\n"
+    linecache.cache["<cell>"] = (len(text), None, text.splitlines(keepends=True), "<cell>")
+    found = {"__name__": "__main__"}
+    exec(compile(text, "<cell>", "exec"), found)
+    as_model(found["law"])
+    del linecache.cache["<cell>"]
+    sent = pickle.loads(cloudpickle.dumps(found["law"]))
+    model = make_model("equations", function=keep_object(sent, text), returns="rate").fit(swinging, rng=0)
+    assert model.form_ == "columns", "a choice becomes np.where"
