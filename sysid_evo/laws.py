@@ -97,7 +97,7 @@ def keep_source(function: FunctionType) -> None:
         function.__dict__[SOURCE] = inspect.getsource(function)
 
 
-def source_of(function: FunctionType) -> str:
+def source_of(function: Callable[..., Any]) -> str:
     """Return the source of ``function`` without indentation. Raises `OSError` or `TypeError`."""
     return textwrap.dedent(vars(function).get(SOURCE) or inspect.getsource(function))
 
