@@ -11,11 +11,11 @@ import numpy as np
 from model_zoo.features import Features
 from model_zoo.networks.backpropagation import DifferentiableSimulation
 from model_zoo.networks.network import Array32, Network, declared_layers
-from model_zoo.networks.training import ResumableTrainings, TrainingSchedule
+from model_zoo.networks.training import ResumableTrainings, TrainingSchedule, training_horizon
 from model_zoo.scaling import Mirror
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.models.kernels import Predictor, network_predictor, with_angles
-from sysid_evo.models.learned import Declared
+from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import Limit, OneOf, SearchRange, Within, at_least
 from sysid_evo.models.stochastic import StochasticModel
 from sysid_evo.progress import Counter, Progress
@@ -133,6 +133,10 @@ class MlpEnsemble(StochasticModel):
             self.record_lags(lags)
             network, _ = trained(dataset, lags, self.members, final)
             self.weights_, self.biases_ = list(network.weights), list(network.biases)
+            parts = [time_fold(dataset, member, self.folds)[0] for member in range(self.members)]
+            usable = min(training_horizon(part, self.horizon, self.n_lags) for part in parts)
+            if usable < self.horizon:
+                self.training_horizon_ = usable
             growth = growth_on_unseen_recordings(quick_fit, dataset, steps=HORIZONS) if rough else None
         if self.stochastic:
             self._calibrate_horizons(dataset, growth, rng, lambda: counter.advance(0))
@@ -158,9 +162,19 @@ class MlpEnsemble(StochasticModel):
         """The members: features of (carry, control) to accelerations."""
         return Network(self.weights_, self.biases_)
 
+    @property
+    def fit_note(self) -> str:
+        steps = getattr(self, "training_horizon_", None)
+        short = (
+            f"trained on simulations of {steps} steps in place of {self.horizon}, because episodes are short; single "
+            "steps of all episodes are used"
+        )
+        return "; ".join(filter(None, (super().fit_note, short if steps else "")))
+
     def learned_arrays(self) -> Mapping[str, Declared]:
         seen = Features(self.system, self.lags).n_carry + self.system.nu
-        return declared_layers(self.weights_, seen, self.system.nx)
+        horizon = Numbers(whole=True, least=1, optional=True)
+        return declared_layers(self.weights_, seen, self.system.nx) | {"training_horizon_": horizon}
 
     def acceleration(self, carry: Array, control: Array) -> Array:
         return self._members(carry, control).mean(axis=0)

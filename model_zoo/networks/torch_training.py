@@ -190,7 +190,7 @@ class Equation:
         best, lowest = copy.deepcopy(module.state_dict()), math.inf
         for update in range(updates):
             steps, size, rate = schedule(plan, update, training.horizon)
-            samples = batches.of([rng.integers(0, len(training), size)], steps)[:, 0]
+            samples = batches.drawn(rng, size, steps)[:, 0]
             now = torch.from_numpy(np.moveaxis(samples, 0, 1).astype(np.float64))
             noise = plan.input_noise * standard.change * rng.standard_normal((size, history + 1, self.layout.nx))
             for group in optimiser.param_groups:

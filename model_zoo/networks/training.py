@@ -12,7 +12,7 @@ import json
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Any, Protocol, Self, TypeAlias
 
@@ -21,7 +21,7 @@ import numpy as np
 from model_zoo.networks.network import Array32
 from sysid_evo.carry import CarryLayout
 from sysid_evo.data import Dataset
-from sysid_evo.errors import CheckpointWarning
+from sysid_evo.errors import CheckpointWarning, InvalidData
 from sysid_evo.models import DynamicsModel
 from sysid_evo.progress import Checkpoint, CheckpointState
 from sysid_evo.types import Array, IntArray
@@ -46,21 +46,31 @@ CHUNK = 256
 class TrainingWindows:
     """Windows of ``horizon`` steps, by the position (N,) of their present among samples of state and control (T, n).
 
-    The samples are those of all episodes in sequence. Batches have time as first axis.
+    The samples are those of all episodes in sequence. Batches have time as first axis. ``single`` are the positions of
+    windows of one step, more than ``starts`` if some episodes are shorter than the horizon.
     """
 
     samples: Array32
     starts: IntArray
     horizon: int
+    single: IntArray
 
     @classmethod
     def of(cls, dataset: Dataset, horizon: int, history: int) -> TrainingWindows:
-        """Cut windows at every moving sample, as long as ``horizon`` or as the data allow."""
-        horizon = min(horizon, max(len(episode) for episode in dataset.episodes) - history)
+        """Cut windows at every moving sample, of ``horizon`` steps or of the `training_horizon`.
+
+        Raises `InvalidData` if no episode has a step after ``history``.
+        """
         windows = dataset.windows(1, history=history, moving=True)
+        if not len(windows):
+            raise InvalidData(f"networks: no episode has a moving sample after the {history} that are the history")
         lengths = np.array([len(episode) for episode in dataset.episodes])
-        fits = windows.start + horizon <= lengths[windows.episode]
-        return cls.at(dataset, windows.episode[fits], windows.start[fits], horizon)
+        usable = training_horizon(dataset, horizon, history)
+        fits = windows.start + usable <= lengths[windows.episode]
+        found = cls.at(dataset, windows.episode[fits], windows.start[fits], usable)
+        if (lengths[windows.episode] >= horizon + history).all():
+            return found
+        return replace(found, single=cls.at(dataset, windows.episode, windows.start, 1).starts)
 
     @classmethod
     def at(cls, dataset: Dataset, episode: IntArray, start: IntArray, horizon: int) -> TrainingWindows:
@@ -70,10 +80,23 @@ class TrainingWindows:
             ended = np.concatenate([one.controls, np.zeros((1, one.controls.shape[1]))])
             parts.append(np.concatenate([one.states, ended], axis=1))
         first = np.cumsum([0, *(len(part) for part in parts)])
-        return cls(np.concatenate(parts).astype(np.float32), first[episode] + start, horizon)
+        starts = first[episode] + start
+        return cls(np.concatenate(parts).astype(np.float32), starts, horizon, starts)
 
     def __len__(self) -> int:
         return len(self.starts)
+
+
+FITTING = 0.25
+"""Least share of the moving samples at which a window of the training horizon begins."""
+
+
+def training_horizon(dataset: Dataset, horizon: int, history: int) -> int:
+    """Return ``horizon``, or the longest one that fits at a quarter of the moving samples if that is shorter."""
+    windows = dataset.windows(1, history=history, moving=True)
+    lengths = np.array([len(episode) for episode in dataset.episodes])
+    room = np.sort(lengths[windows.episode] - windows.start)[::-1]
+    return min(horizon, int(room[math.ceil(FITTING * len(room)) - 1])) if len(room) else horizon
 
 
 class Batches:
@@ -83,11 +106,20 @@ class Batches:
         first = np.cumsum([0, *(len(one.samples) for one in windows)])
         self.samples = np.concatenate([one.samples for one in windows])
         self.starts = [one.starts + begin for one, begin in zip(windows, first, strict=False)]
+        self.single = [one.single + begin for one, begin in zip(windows, first, strict=False)]
         self.history = history
+
+    def drawn(self, rng: np.random.Generator, size: int, horizon: int) -> Array32:
+        """Return the samples of ``size`` random windows of each member, see `of`."""
+        starts = self.single if horizon == 1 else self.starts
+        return self._at([own[rng.integers(0, len(own), size)] for own in starts], horizon)
 
     def of(self, rows: Sequence[IntArray], horizon: int) -> Array32:
         """Return the samples (L + 1 + H, M, B, n) of the windows ``rows`` (B,) of each member."""
-        starts = np.stack([start[row] for start, row in zip(self.starts, rows, strict=True)])
+        return self._at([start[row] for start, row in zip(self.starts, rows, strict=True)], horizon)
+
+    def _at(self, places: Sequence[IntArray], horizon: int) -> Array32:
+        starts = np.stack(places)
         steps = np.arange(-self.history, horizon + 1)
         found: Array32 = np.take(self.samples, starts + steps[:, None, None], axis=0, mode="clip")
         return found
@@ -172,7 +204,7 @@ def train(
         trainings.report(first)
     for update in range(first, plan.total):
         horizon, size, rate = schedule(plan, update, longest)
-        batch = batches.of([rng.integers(0, len(one), size) for one in windows], horizon)
+        batch = batches.drawn(rng, size, horizon)
         batch = model.augmented(batch, rng)
         truth = batch[layout.n_lags + 1 :, ..., : layout.nx].copy()
         if plan.input_noise:

@@ -1,5 +1,7 @@
 """What is trained and what steps are the same model; its gradients are derivatives; it can be trained further."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -22,7 +24,7 @@ from model_zoo.networks.training import (
 from model_zoo.scaling import Mirror
 from sysid_evo.carry import CarryLayout
 from sysid_evo.data import Dataset
-from sysid_evo.errors import ArtefactError
+from sysid_evo.errors import ArtefactError, InvalidData
 from sysid_evo.models import load_model, save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.models.dynamics import rk4
@@ -114,6 +116,40 @@ def test_the_gradient_of_a_simulation_is_its_derivative(make, record):
             sums.append(np.sum(model.run(batch).astype(np.float64) * weights, axis=(0, 2, 3)))
         slope = (sums[0] - sums[1]) / 4e-3
         np.testing.assert_allclose(found[:, place], slope, atol=1e-3 * np.abs(found).max())
+
+
+def short_episodes(lengths):
+    """Return episodes of the example of these numbers of steps."""
+    whole = example_dataset()
+    longest = max(whole, key=len)
+    starts = np.arange(len(lengths)) % (len(longest) - max(lengths) + 1)
+    return whole.with_episodes([
+        replace(longest[start : start + count], name=f"short {i}")
+        for i, (start, count) in enumerate(zip(starts.tolist(), lengths, strict=True))
+    ])  # fmt: skip
+
+
+def test_windows_are_shorter_where_most_episodes_are_and_single_steps_of_all_episodes_are_used():
+    short = short_episodes([6] * 20 + [30])
+    windows, moving = TrainingWindows.of(short, 20, 0), short.windows(1, moving=True)
+    assert windows.horizon == 6
+    assert len(windows.single) == len(moving)
+    room = np.array([len(episode) for episode in short])[moving.episode] - moving.start
+    assert len(windows.starts) == np.sum(room >= 6) > 0.25 * len(moving)
+    whole = example_dataset()
+    usual = TrainingWindows.of(whole, 5, 0)
+    assert (usual.horizon, usual.single is usual.starts) == (5, True)
+    with pytest.raises(InvalidData, match="no episode has a moving sample after the 8 that are the history"):
+        TrainingWindows.of(short_episodes([6] * 20), 20, 8)
+
+
+def test_an_ensemble_says_that_it_was_trained_on_shorter_simulations(tmp_path):
+    small = {**HARDLY, "horizon": 20, "members": 2, "state_lags": 0, "control_lags": 0}
+    model = make_model("mlp_ensemble", **small).fit(short_episodes([7] * 30), rng=0)
+    assert "trained on simulations of 6 steps in place of 20, because episodes are short" in model.fit_note
+    assert load_model(save_model(model, tmp_path / "short")).fit_note == model.fit_note
+    usual = make_model("mlp_ensemble", **small).fit(example_dataset(), rng=0)
+    assert "in place of" not in usual.fit_note
 
 
 @pytest.mark.parametrize("family", ["mlp_ensemble", "neural_ode", "hybrid_ode"])
@@ -339,7 +375,8 @@ class Drifting:
 
 def test_training_follows_the_weights_of_the_steps():
     """The steps ask for p = 1 and p = 2; the first decides, though the second has the larger error."""
-    shots = TrainingWindows(np.tile([[0.0], [1.0], [8.0]], (4, 1)), np.arange(0, 12, 3), 2)
+    starts = np.arange(0, 12, 3)
+    shots = TrainingWindows(np.tile([[0.0], [1.0], [8.0]], (4, 1)), starts, 2, starts)
     plan = TrainingSchedule(1, 300, 2, batch=4, learning_rate=0.05, weight_decay=0.0, input_noise=0.0, averaging=0.5)
     one = np.ones(1)
     trainings = ResumableTrainings(np.random.default_rng(0))
