@@ -21,6 +21,7 @@ from sysid_evo.testing.closed_loop import CONTROLLER, TASK
 from sysid_evo.testing.contract import Contract, NotApplicable, expect, expect_error, expect_numbers, normal, same
 from sysid_evo.testing.evolution import STRATEGY
 from sysid_evo.testing.models import (
+    ADAPTER,
     MODEL,
     StepInputs,
     expect_independent_rows,
@@ -190,7 +191,7 @@ CHECKS = (
     a_closed_session_is_over,
 )
 ROBOT = Contract(robots, _robot, CHECKS)
-CONTRACTS = {one.registry.kind: one for one in (MODEL, TASK, CONTROLLER, STRATEGY, ROBOT, READER)}
+CONTRACTS = {one.registry.kind: one for one in (MODEL, TASK, CONTROLLER, STRATEGY, ADAPTER, ROBOT, READER)}
 
 
 def _some_inputs(dynamics: Dynamics, steps: int = 20) -> StepInputs:

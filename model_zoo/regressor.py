@@ -254,7 +254,7 @@ class Regressor(StochasticModel):
 class ScikitLearnAdapter(Adapter):
     """Regressors of scikit-learn's interface: estimators, pipelines, searches, LightGBM and XGBoost."""
 
-    example = "HistGradientBoostingRegressor()"
+    example = "sklearn.linear_model.Ridge()"
 
     def recognises(self, thing: object) -> bool:
         if not hasattr(thing, "get_params") or not hasattr(thing, "predict"):

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 def new(
     name: Annotated[str, argument("Name of the plugin, such as my_model", "NAME")],
-    kind: Annotated[str, option("model, task, controller, strategy, robot or reader", "NAME", panel="Plugin",
+    kind: Annotated[str, option("model, task, controller, strategy, adapter, robot or reader", "NAME", panel="Plugin",
         shown="model", values=lambda: PLUGINS)] = "model",
     folder: Annotated[Path | None, option("Folder of the package", "DIR", "--out", shown="NAME")] = None,
 ) -> None:  # fmt: skip

@@ -1,11 +1,14 @@
-"""The contract of a model family: checks of a fitted model with its training data, and of any `Dynamics`."""
+"""The contracts of a model family and of an adapter, and checks of any `Dynamics`."""
 
 from __future__ import annotations
 
 import copy
+import re
+import sys
 import tempfile
 import warnings
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +19,14 @@ from sysid_evo.carry import clip_state
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.errors import NotFitted
+from sysid_evo.models.adapters import Adapter, as_spec, family_name, plain_parameters
 from sysid_evo.models.base import DynamicsModel, make_model
 from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.models.learned import check_learned
 from sysid_evo.models.storage import load_model, save_model
 from sysid_evo.progress import Progress
-from sysid_evo.registry.registry import models
+from sysid_evo.registry.objects import keep_object
+from sysid_evo.registry.registry import adapters, models
 from sysid_evo.testing.contract import (
     Contract,
     NotApplicable,
@@ -249,6 +254,86 @@ CHECKS = (
     learned_arrays_declares_what_was_learned,
 )
 MODEL = Contract(models, _prepared, CHECKS, decisive=fit_returns_the_model_itself)
+
+
+def check_adapter(name: str, **parameters: object) -> None:
+    """Raise `ContractViolation` with all rules that the registered adapter ``name`` breaks."""
+    ADAPTER.check(name, **parameters)
+
+
+def _adapter(name: str, **parameters: object) -> tuple[Adapter]:
+    return (adapters.make(name, **parameters),)
+
+
+def _example(adapter: Adapter) -> Any:
+    """Return a new object of the expression ``example``, after an import of the modules that it names."""
+    known = dict(vars(sys.modules[type(adapter).__module__]))
+    for module in re.findall(r"([a-z_]\w*(?:\.[a-z_]\w*)*)\.\w+\(", adapter.example):
+        import_module(module)
+        known[module.partition(".")[0]] = sys.modules[module.partition(".")[0]]
+    return eval(adapter.example, known)
+
+
+def it_recognises_its_example(adapter: Adapter) -> None:
+    """It recognises the object that the expression ``example`` makes"""
+    expect(adapter.recognises(_example(adapter)) is True, f"it does not recognise {adapter.example}")
+
+
+def it_recognises_nothing_else(adapter: Adapter) -> None:
+    """It recognises no text, number, array, list or model"""
+    for other in ("narx", 1.0, np.zeros(3), [0.0], None, make_model("linear")):
+        expect(not adapter.recognises(other), f"it recognises a {type(other).__name__}")
+
+
+def no_other_adapter_recognises_it(adapter: Adapter) -> None:
+    """No other adapter recognises its example"""
+    thing = _example(adapter)
+    others = (name for name, kind in adapters.load_all() if kind is not type(adapter) and kind().recognises(thing))
+    expect((other := next(others, None)) is None, f"adapter {other!r} also recognises {adapter.example}")
+
+
+def it_makes_an_unfitted_model(adapter: Adapter) -> None:
+    """It makes an unfitted model of a registered family"""
+    model = adapter.model(_example(adapter))
+    expect(isinstance(model, DynamicsModel), f"expected a DynamicsModel, got a {type(model).__name__}")
+    expect(not hasattr(model, "system_"), f"expected an unfitted model, got a fitted {family_name(model)}")
+
+
+def its_model_can_be_written(adapter: Adapter) -> None:
+    """The spec of its model makes the same model"""
+    model = adapter.model(_example(adapter))
+    again = make_model(str(as_spec(model)))
+    expect(plain_parameters(again) == plain_parameters(model), f"{as_spec(model)} makes another model")
+
+
+def a_copy_has_the_same_text(adapter: Adapter) -> None:
+    """A copy of an object gives the same spec"""
+    thing = _example(adapter)
+    first, second = (str(as_spec(adapter.model(one))) for one in (thing, copy.deepcopy(thing)))
+    expect(first == second, f"{first} and {second}")
+
+
+def the_object_is_unchanged(adapter: Adapter) -> None:
+    """It does not change the object"""
+    thing = _example(adapter)
+    before = keep_object(thing, adapter.content(thing))
+    adapter.model(thing)
+    expect(keep_object(thing, adapter.content(thing)) == before, "the object has changed")
+
+
+ADAPTER = Contract(
+    adapters,
+    _adapter,
+    (
+        it_recognises_its_example,
+        it_recognises_nothing_else,
+        no_other_adapter_recognises_it,
+        it_makes_an_unfitted_model,
+        its_model_can_be_written,
+        a_copy_has_the_same_text,
+        the_object_is_unchanged,
+    ),
+)
 
 
 def _some_inputs(model: DynamicsModel, dataset: Dataset) -> StepInputs:

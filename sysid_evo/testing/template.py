@@ -37,6 +37,7 @@ PLUGINS = {
     "task": PluginTemplate("sysid-evo compare --task $name"),
     "controller": PluginTemplate("sysid-evo compare --controller $name"),
     "strategy": PluginTemplate("sysid-evo compare --strategy $name"),
+    "adapter": PluginTemplate("sysid-evo names adapter"),
     "robot": PluginTemplate("sysid-evo compare --robot $name", kit="hardware.testing"),
     "reader": PluginTemplate(
         "sysid-evo inspect logs/",

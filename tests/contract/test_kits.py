@@ -11,7 +11,15 @@ from sysid_evo.errors import ContractViolation, IncompatibleSystem, Incompatible
 from sysid_evo.models import DynamicsModel, require_planar
 from sysid_evo.registry import Spec, make_robot, models, robots, tasks
 from sysid_evo.tasks import SetPoint
-from sysid_evo.testing import MODEL, check_controller, check_model, check_reader, check_strategy, check_task
+from sysid_evo.testing import (
+    MODEL,
+    check_adapter,
+    check_controller,
+    check_model,
+    check_reader,
+    check_strategy,
+    check_task,
+)
 from sysid_evo.testing import models as model_kit
 from sysid_evo.testing.contract import MADE, rule_of
 from sysid_evo.testing.examples import (
@@ -21,6 +29,7 @@ from sysid_evo.testing.examples import (
     example_systems,
 )
 from sysid_evo.testing.template import PLUGINS
+from tests.fixtures import broken_adapters as of_adapters
 from tests.fixtures import broken_controllers as of_controllers
 from tests.fixtures import broken_models as of_models
 from tests.fixtures import broken_readers as of_readers
@@ -35,6 +44,7 @@ CASES = {
     "task": (check_task, of_tasks),
     "controller": (check_controller, of_controllers),
     "strategy": (check_strategy, of_strategies),
+    "adapter": (check_adapter, of_adapters),
     "robot": (check_robot, of_robots),
     "reader": (check_reader, of_readers),
 }

@@ -115,10 +115,13 @@ def test_a_broken_rule_of_the_contract_is_printed(tmp_path):
             "strategy 'niches' is already registered by the module sysid_evo.evolution.",
         ),
         (("new", "random", "--kind", "task"), "a module called 'random' already exists"),
-        (("new", "mine", "--kind", "modle"), "expected a kind among model, task, controller, strategy, robot, reader,"),
+        (
+            ("new", "mine", "--kind", "modle"),
+            "expected a kind among model, task, controller, strategy, adapter, robot, reader",
+        ),
         (
             ("check", "linnear"),
-            "no model, task, controller, strategy, robot or reader is called 'linnear'. Did you mean",
+            "no model, task, controller, strategy, adapter, robot or reader is called 'linnear'. Did you mean",
         ),
         (("check", "unlike_any"), "is called 'unlike_any'. If it is defined in your own file, add --plugin FILE"),
         (("check", "linear"), "'linear' is a model and a controller: choose one with --kind"),
