@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sysid_evo import Adapter, DynamicsModel, make_model, register_adapter
+from sysid_evo.errors import InvalidArgument
 from sysid_evo.laws import keep_source
 from sysid_evo.models import bases_of
 from sysid_evo.registry.objects import keep_object
@@ -25,6 +26,10 @@ class FunctionAdapter(Adapter):
         return isinstance(thing, FunctionType)
 
     def model(self, thing: Any, *, fitted: bool = False) -> DynamicsModel:
+        if fitted and len(inspect.signature(thing).parameters) > 2:
+            raise InvalidArgument(
+                f"{thing.__name__}: p has bounds but no values: write them into it, or let them be fitted"
+            )
         keep_source(thing)  # that of a cell of a notebook, for processes that do not have it
         return make_model("equations", function=definition(thing) or keep_object(thing, self.content(thing)))
 

@@ -155,7 +155,7 @@ class FunctionGreyBox(GreyBox):
         slow = "" if self.kernel() is not None else "runs in NumPy, because it has no compiled form"
         if slow and self.form_ == "single":
             slow += ", one sample at a time: write a if test else b instead of if"
-        return "; ".join(filter(None, (super().fit_note, slow)))
+        return "; ".join(filter(None, (super().fit_note, "" if self.law_parameters() else "used as it is", slow)))
 
 
 FORMS = ("columns", "rows", "single")

@@ -45,7 +45,7 @@ def branching(x, u):
 def test_one_function_in_three_forms_is_one_model(function, form, swinging):
     expected = as_model(of_a_sample).fit(swinging, rng=0).simulate(swinging.episodes[0])
     model = as_model(function).fit(swinging, rng=0)
-    assert (model.form_, model.returned_) == (form, "rate")
+    assert (model.form_, model.returned_, model.fit_note) == (form, "rate", "used as it is")
     np.testing.assert_allclose(model.simulate(swinging.episodes[0]), expected, rtol=1e-9, atol=1e-9)
 
 
@@ -85,6 +85,9 @@ def test_parameters_are_fitted_within_the_bounds_that_p_gives(function, swinging
     np.testing.assert_allclose(model.parameters_, [STIFFNESS, FRICTION, GAIN], rtol=0.02)
     assert [row["parameter"] for row in model.parameters_table()] == ["stiffness", "friction", "gain"]
     assert [one.guess for one in model.law_parameters()] == [5.0, 0.2, 1.0]
+    assert "used as it is" not in model.fit_note
+    with pytest.raises(InvalidArgument, match="p has bounds but no values"):
+        as_model(function, fitted=True)
 
 
 @pytest.mark.parametrize(
