@@ -58,6 +58,7 @@ class Regressor(StochasticModel):
     periodic = True
     requires = ("skops",)
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"state_lags": 0, "control_lags": 3}}
+    timing_parameters: ClassVar[dict[str, Any]] = {}
 
     def __init__(
         self,

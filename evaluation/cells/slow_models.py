@@ -98,7 +98,8 @@ def _timed(family: Any, text: str, sample: _Sample, steps: int) -> float:
 def _seconds(model: DynamicsModel) -> float:
     """Return the shortest of three times of a step, divided by the number of rollouts."""
     carry = started(model, np.resize(model.training_sample_[:, : model.system.nx], (ROLLOUTS, model.system.nx)))
-    control, noise = np.tile(model.system.neutral_control, (ROLLOUTS, 1)), np.zeros((ROLLOUTS, model.n_noise))
+    control = np.tile(model.system.neutral_control, (ROLLOUTS, 1))
+    noise = np.zeros((ROLLOUTS, model.n_noise)) if model.n_noise else None
     times = []
     for _ in range(3):
         began = time.perf_counter()

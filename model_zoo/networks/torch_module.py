@@ -52,6 +52,7 @@ class TorchModule(DynamicsModel):
         "learning_rate": above(0),
     }
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"updates": 400, "horizon": 10}}
+    timing_parameters: ClassVar[dict[str, Any]] = {"updates": 1, "horizon": 1}
 
     module: Any = None
     returns: Literal["rate", "change", "next_state"] = "rate"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.benchmarks import task_speed
+from tests.benchmarks import regressors, task_speed
 from tests.benchmarks.rollout import main
 
 
@@ -27,3 +27,12 @@ def test_a_quick_run_sets_the_speed_of_other_tasks_beside_waypoints(capsys: pyte
     printed = capsys.readouterr().out
     assert printed.count("walled_track") == 2
     assert printed.count("1.00") >= 2
+
+
+@pytest.mark.nightly
+def test_a_compiled_regressor_is_a_hundred_times_as_fast_as_predict_step_by_step(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    regressors.main(["--quick", "--models", "forest=regressor(estimator=RandomForestRegressor, max_depth=10)"])
+    (row,) = (line.split() for line in capsys.readouterr().out.splitlines() if "forest" in line)
+    assert float(row[-1]) > 100

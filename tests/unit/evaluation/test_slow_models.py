@@ -1,5 +1,6 @@
 """A model without a compiled form is timed by the plan, and searches in it have fewer generations."""
 
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -105,6 +106,13 @@ def test_a_run_is_planned_again_with_the_same_times():
 
 def test_a_compiled_model_is_not_slow():
     assert planned("of_python").experiment.step_seconds == {}
+
+
+def test_of_the_regressors_those_without_compiled_form_are_slow(monkeypatch):
+    monkeypatch.setattr(slow_models, "time", time)
+    compiled, slow = "regressor(estimator=Ridge)", "a=regressor(estimator=KNeighborsRegressor, algorithm=brute)"
+    (text,) = planned(compiled, slow).experiment.step_seconds
+    assert text.startswith("a=")
 
 
 def test_a_plan_without_recordings_times_a_model_fitted_to_random_numbers():
