@@ -81,6 +81,11 @@ def recent(states: Array, controls: Array, lags: int) -> tuple[Array, Array]:
     return states[:, states.shape[1] - 1 - lags :], controls[:, controls.shape[1] - lags :]
 
 
+def latest(states: Array, controls: Array, lags: int, neutral: Array) -> tuple[Array, Array]:
+    """Return the end of a history like `recent`; a shorter one is padded, see `pad_history`."""
+    return recent(*pad_history(states, controls, lags, neutral), lags)
+
+
 REST_BAND = 0.005
 """Width of the dead band around neutral, as a share of the range of the training states."""
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid_evo.carry import clip_state
+from sysid_evo.carry import clip_state, latest
 from sysid_evo.engine.compiled import loops
 from sysid_evo.engine.compiled.compiler import compiled, compiled_loop
 from sysid_evo.engine.compiled.workspace import aligned, bounds_table, empty_lines
@@ -32,14 +32,14 @@ class ImaginedTrials:
         """Return fitness plus potential at the end of every sequence, (K, B).
 
         ``states`` (B, L + 1, nx) and ``controls`` (B, L, nu) are the history of B trials; the model uses its last
-        samples. ``sequences`` (K, B, steps, nu) are outputs in [-1, 1]; ``task_state`` has B trials.
+        samples, and a shorter one is padded, see `latest`. ``sequences`` (K, B, steps, nu) are outputs in [-1, 1];
+        ``task_state`` has B trials.
         """
         dynamics, task = self.dynamics, self.task
         count, trials, steps, _ = sequences.shape
-        lags = dynamics.n_lags
         legal = task.system.actuate(sequences)
         draws = np.zeros((trials, dynamics.n_draws))
-        carry = dynamics.start(states[:, len(states[0]) - lags - 1 :], controls[:, len(controls[0]) - lags :], draws)
+        carry = dynamics.start(*latest(states, controls, dynamics.n_lags, task.system.neutral_control), draws)
         if self.compiled is None or steps > task.horizon:  # a task's data are as long as its trials
             reached, state, diverged = self._run(carry, legal, task_state)
         else:

@@ -434,12 +434,14 @@ class DynamicsModel(Dynamics, ParameterAccess):
         """Return the states after each of H steps of a simulation under given controls.
 
         One run: ``simulate(x0, u)`` with the state (nx,) or a history (L + 1, nx), and controls
-        (H, nu), (H,) for one control; returns (H, nx). If the history is too short, its first state is repeated.
-        The controls before the run are neutral unless given: ``simulate(history, past_u, u)``.
+        (H, nu), (H,) for one control; returns (H, nx). The controls before the run are neutral unless given: ``simulate(history, past_u, u)``.
         ``simulate(trajectory)`` starts from its first ``n_lags`` + 1 states and runs to its end.
 
         Many runs: ``simulate(states, past_controls, controls)`` with the measured history (B, L + 1, nx)
-        and (B, L, nu), L at least ``n_lags`` (more is ignored), and (B, H, nu); returns (B, H, nx).
+        and (B, L, nu), and (B, H, nu); returns (B, H, nx).
+
+        If a history has fewer than ``n_lags`` samples before its last state, its first state is repeated, with neutral
+        controls; more than ``n_lags`` are ignored.
 
         States are clipped to the state bounds; nan becomes the upper bound, and stays nan without one. ``samples``
         simulations of a stochastic model are the first axis of the result; ``rng`` (seed 0 by default) draws its noise.
@@ -464,7 +466,7 @@ class DynamicsModel(Dynamics, ParameterAccess):
             raise InvalidArgument("simulate: expected a state and controls, or a Trajectory; got no controls")
         alone = np.ndim(states) < 3 and np.ndim(controls) < 3
         if alone:
-            states, past_controls, controls = one_run(system, lags, states, past_controls, controls)
+            states, past_controls, controls = one_run(system, states, past_controls, controls)
         simulated = many_runs(self, states, past_controls, controls, samples, as_generator(rng))
         return simulated[..., 0, :, :] if alone else simulated
 

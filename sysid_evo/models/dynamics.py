@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid_evo.carry import clip_state, pad_history, recent
-from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
+from sysid_evo.carry import clip_state, latest
+from sysid_evo.errors import InvalidArgument, ShapeError
 from sysid_evo.kernels import DynamicsKernel, Precision
 from sysid_evo.processors import one_blas_thread
 from sysid_evo.system import System
@@ -148,12 +148,11 @@ def chained(step: Callable[[Any, Any], Any], carry: Any, controls: Any) -> Itera
 
 
 def one_run(
-    system: System, lags: int, states: npt.ArrayLike, past_controls: npt.ArrayLike | None, controls: npt.ArrayLike
+    system: System, states: npt.ArrayLike, past_controls: npt.ArrayLike | None, controls: npt.ArrayLike
 ) -> tuple[Array, Array, Array]:
     """Return one run as a batch of one: states (1, L + 1, nx), past controls (1, L, nu), controls (1, H, nu).
 
-    ``states`` is the state (nx,) or a history (L + 1, nx), ``controls`` (H, nu), or (H,) for one
-    control. A history shorter than ``lags`` is padded: the first state repeated, neutral controls.
+    ``states`` is the state (nx,) or a history (L + 1, nx), ``controls`` (H, nu), or (H,) for one control.
     """
     if np.ndim(states) == 1 and past_controls is not None and np.size(past_controls) > 0:
         raise InvalidArgument(no_times(system))  # one state has no controls before it
@@ -169,7 +168,6 @@ def one_run(
         raise ShapeError(
             f"past_controls: expected {len(history) - 1}, one fewer than the states of the history, got {len(past)}"
         )
-    history, past = pad_history(history, past, lags, system.neutral_control)
     return history[None], past[None], ahead[None]
 
 
@@ -202,17 +200,17 @@ def many_runs(
 ) -> Array:
     """Return the states (B, H, nx) of many runs, see `DynamicsModel.simulate`; with samples (samples, B, H, nx).
 
-    Raises `ShapeError`, or `InvalidData` if the history (B, L + 1, nx) is shorter than the model needs.
+    A history (B, L + 1, nx) shorter than the model uses is padded, see `latest`. Raises `ShapeError`.
     """
-    system, lags = model.system, model.n_lags
+    system = model.system
     states = check_shape("states", states, (None, None, system.nx))
+    if states.shape[1] == 0:
+        raise ShapeError(f"states: expected one measured state of each run or more, got {states.shape}")
     controls = check_shape("controls", controls, (len(states), None, system.nu))
     if past_controls is None:
         past_controls = np.tile(system.neutral_control, (len(states), states.shape[1] - 1, 1))
     past_controls = check_shape("past_controls", past_controls, (len(states), states.shape[1] - 1, system.nu))
-    if states.shape[1] < lags + 1:
-        raise InvalidData(f"{type(model).__name__} needs {lags + 1} measured states to start, got {states.shape[1]}")
-    states, past_controls = recent(states, past_controls, lags)
+    states, past_controls = latest(states, past_controls, model.n_lags, system.neutral_control)
     if samples is not None:
         states, past_controls, controls = (np.tile(a, (samples, 1, 1)) for a in (states, past_controls, controls))
     batch, horizon = controls.shape[:2]

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 import model_zoo
+from sysid_evo import make_task
+from sysid_evo.engine.imagined import ImaginedTrials
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.extras import extra_of
 from sysid_evo.models.base import make_model
 from sysid_evo.motion import PlanarBody
+from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import models
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import MODEL, example_dataset
@@ -134,6 +137,40 @@ def test_every_family_says_how_much_it_knows_and_predicts_better_than_nothing(fa
     forward = simulated[:, -1, 0] - windows.states[:, -1, 0]
     persistence = windows.start_states[:, 0] - windows.states[:, -1, 0]
     assert np.sqrt(np.mean(forward**2)) < np.sqrt(np.mean(persistence**2))
+
+
+@pytest.mark.parametrize("given", [0, 1])
+@pytest.mark.parametrize("family", models.names())
+def test_a_short_history_is_padded_in_a_batch_as_in_a_single_run(family, given, car_data):
+    """Its first state is repeated and the earlier controls are neutral, also where the compiled form starts from it."""
+    model, _ = learned(family)
+    windows = car_data.windows(10, stride=40, history=given)
+    history, past, ahead = windows.past_states, windows.past_controls, windows.controls
+    batch = model.simulate(history, past, ahead)
+    missing = max(0, model.n_lags - given)
+    rest = np.broadcast_to(model.system.neutral_control, (len(history), missing, model.system.nu))
+    padded = np.concatenate([np.repeat(history[:, :1], missing, axis=1), history], axis=1)
+    np.testing.assert_array_equal(batch, model.simulate(padded, np.concatenate([rest, past], axis=1), ahead))
+    for row in range(0, len(history), 3):
+        single = model.simulate(history[row], past[row], ahead[row])
+        np.testing.assert_allclose(batch[row], single, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("family", ["narx", "mlp_ensemble", "linear_state_space", "sindy"])
+def test_the_compiled_form_pads_a_short_history_too(family, car_data):
+    model, _ = learned(family)
+    task = make_task("point_to_point", horizon=20).bind(model.system)
+    known, sequences = (
+        task.hide_future(task.begin(trial_seeds(3, 4))),
+        np.random.default_rng(1).uniform(-1.0, 1.0, (6, 4, 10, model.system.nu)),
+    )
+    assert model.n_lags > 0
+    history = np.repeat(known.state[:, None], model.n_lags + 1, axis=1)
+    past = np.broadcast_to(model.system.neutral_control, (4, model.n_lags, model.system.nu))
+    for engine in ("reference", "float64"):
+        trials = ImaginedTrials(model, task, engine=engine)
+        short = trials.scores(known.state[:, None], np.zeros((4, 0, model.system.nu)), sequences, known)
+        np.testing.assert_array_equal(short, trials.scores(history, past, sequences, known))
 
 
 TELL = [name for name in models.names() if name in ("k_neighbours", "narx") or not models.glance(name, "fast_fit")]

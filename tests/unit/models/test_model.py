@@ -5,7 +5,7 @@ import pytest
 
 from sysid_evo.carry import clip_state
 from sysid_evo.data import Dataset
-from sysid_evo.errors import IncompatibleSystem, InvalidData, NotFitted, ShapeError
+from sysid_evo.errors import IncompatibleSystem, NotFitted, ShapeError
 from sysid_evo.models import DynamicsModel, require_planar, training_bounds
 from sysid_evo.system import Channel, System
 
@@ -101,15 +101,15 @@ def test_a_simulation_equals_chained_steps(walk, state_lags, control_lags):
         np.testing.assert_allclose(simulated[:, k], history[-1], rtol=1e-12, atol=1e-12)
 
 
-def test_more_history_than_needed_is_ignored_and_a_short_one_is_an_error(walk):
+def test_more_history_than_needed_is_ignored_and_a_run_without_a_state_is_an_error(walk):
     model = Lagged(state_lags=1).fit(walk, rng=0)
     long, short = walk.windows(4, history=5), walk.windows(4, history=1, first=5)
     np.testing.assert_array_equal(
         model.simulate(long.past_states, long.past_controls, long.controls),
         model.simulate(short.past_states, short.past_controls, short.controls),
     )
-    with pytest.raises(InvalidData, match="Lagged needs 2 measured states to start, got 1"):
-        model.simulate(np.zeros((1, 1, 2)), np.zeros((1, 0, 1)), np.zeros((1, 5, 1)))
+    with pytest.raises(ShapeError, match=r"states: expected one measured state of each run or more, got \(1, 0, 2\)"):
+        model.simulate(np.zeros((1, 0, 2)), np.zeros((1, 0, 1)), np.zeros((1, 5, 1)))
 
 
 @pytest.mark.parametrize(
