@@ -434,7 +434,8 @@ class DynamicsModel(Dynamics, ParameterAccess):
         """Return the states after each of H steps of a simulation under given controls.
 
         One run: ``simulate(x0, u)`` with the state (nx,) or a history (L + 1, nx), and controls
-        (H, nu), (H,) for one control; returns (H, nx). The controls before the run are neutral unless given: ``simulate(history, past_u, u)``.
+        (H, nu), (H,) for one control; returns (H, nx). The controls before the run are neutral unless given:
+        ``simulate(history, past_u, u)``.
         ``simulate(trajectory)`` starts from its first ``n_lags`` + 1 states and runs to its end.
 
         Many runs: ``simulate(states, past_controls, controls)`` with the measured history (B, L + 1, nx)
