@@ -77,6 +77,14 @@ class Controller(ABC):
         ``parameters`` is (P, n_parameters), ``memory`` (P, E, n_memory).
         """
 
+    def first_steps(self, sizes: Array) -> Array:
+        """Return the relative step sizes (n_parameters,) in which a search of a bound controller begins.
+
+        ``sizes`` (n_observations,) are those of `Task.observation_sizes`: weights of a large one are small. By default
+        all are 1.
+        """
+        return np.ones(self.n_parameters)
+
     def kernel(self) -> ControllerKernel | None:
         """Return the compiled form of `act` of a bound controller, if it has one."""
         return None

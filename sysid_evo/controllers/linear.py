@@ -39,10 +39,15 @@ class LinearFeedback(LawController):
         names = self.inputs or [channel.name for channel in task.observations]
         return self._sized(len(task.observations), observation_indices("linear", names, task), task.system.nu)
 
+    places: tuple[int, ...]
+
+    def first_steps(self, sizes: Array) -> Array:
+        return 1.0 / np.repeat([*sizes[list(self.places)], 1.0], self.n_outputs)
+
     def _sized(self, n_observations: int, places: tuple[int, ...], n_outputs: int) -> Self:
         bound = copy.copy(self)
         bound.n_observations, bound.n_outputs = n_observations, n_outputs
-        bound.n_parameters = (len(places) + 1) * n_outputs
+        bound.n_parameters, bound.places = (len(places) + 1) * n_outputs, places
         shared = LINEAR_HEAD.pack(places, n_inputs=len(places), n_outputs=n_outputs)
         bound.law = ControllerLaw(linear, shared, width="row")
         return bound

@@ -66,6 +66,10 @@ class RecurrentNetwork(Controller):
         bound.n_parameters = self.hidden * (n_observations + self.hidden + n_outputs)
         return bound
 
+    def first_steps(self, sizes: Array) -> Array:
+        rest = np.ones(self.hidden * (self.hidden + self.n_outputs))
+        return 1.0 / np.concatenate([np.repeat(sizes, self.hidden), rest])
+
     n_inputs: int
     n_outputs: int
 
@@ -189,6 +193,10 @@ class Perceptron(Controller):
         bound.sizes = (n_observations, *self.hidden, n_outputs)
         bound.n_parameters = parameters_of(bound.sizes)
         return bound
+
+    def first_steps(self, sizes: Array) -> Array:
+        first = np.repeat(sizes, self.sizes[1])
+        return 1.0 / np.concatenate([first, np.ones(self.n_parameters - len(first))])
 
     def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
         y = view.observation

@@ -124,9 +124,10 @@ class ControllerEvolution:
         return penalties.make(self.penalty) if self.penalty else None
 
     def make_strategy(
-        self, n_parameters: int, seed: int, spec: Spec | None = None, *, initial: Array | None = None
-    ) -> EvolutionStrategy:
-        """Return the strategy, or that of ``spec``; it starts from ``initial`` (n,) if it has such a parameter.
+        self, n_parameters: int, seed: int, spec: Spec | None = None, *, initial: Array | None = None,
+        first_steps: Array | None = None,
+    ) -> EvolutionStrategy:  # fmt: skip
+        """Return the strategy, or that of ``spec``, with ``initial`` and ``first_steps`` (n,) if it has them.
 
         Raises `InvalidArgument` if two candidates or its state do not fit into memory.
         """
@@ -138,8 +139,8 @@ class ControllerEvolution:
         try:
             if 2.0 * size > memory:
                 raise MemoryError(f"two candidates take {2.0 * size:.3g} of {memory:.3g} GB of memory")
-            from_there = initial is not None and INITIAL in strategies.parameters(spec.name)
-            begin = {INITIAL: initial} if from_there else {}
+            known, given = strategies.parameters(spec.name), {INITIAL: initial, FIRST_STEPS: first_steps}
+            begin = {name: value for name, value in given.items() if value is not None and name in known}
             return make_strategy(spec, n_parameters=n_parameters, seed=seed, **begin)
         except MemoryError as error:
             raise InvalidArgument(
@@ -148,8 +149,8 @@ class ControllerEvolution:
             ) from error
 
 
-INITIAL = "initial"
-"""Parameter of the strategies that can start from given parameters of a controller."""
+INITIAL, FIRST_STEPS = "initial", "first_steps"
+"""Parameters of the strategies that can start from given parameters of a controller, and in steps of given sizes."""
 
 
 def evolve_controller(
@@ -201,6 +202,7 @@ def evolve_controller(
             derived_seed(seed, start),
             starts[start].strategy,
             initial=initial if start == 0 else None,
+            first_steps=laws[start].first_steps(task.observation_sizes()),
         )
         strategy.prepare(
             behaviour_names=behaviour_names(system),

@@ -191,6 +191,7 @@ def polish(
             seed=derived_seed(seed, run),
             sigma=sigma,
             initial=chosen[run].parameters,
+            first_steps=controller.first_steps(task.observation_sizes()),
         )
         return strategy, Schedule((), objective(run), max_fitness=task.max_fitness)
 

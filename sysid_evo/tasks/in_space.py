@@ -153,6 +153,10 @@ MEAN_DISTANCE = 1.323
 """Mean distance of two random points of a cube, in half its edges."""
 
 
+USUAL_ARENA = 1.5
+"""Half the edge (m) of the cube for which the first step sizes of searches were chosen."""
+
+
 class SpaceWaypoints(SpaceTask):
     """`PointToPoint` in space: waypoints are uniform in a cube around the start, ``arena_radius`` m to each side."""
 
@@ -175,6 +179,10 @@ class SpaceWaypoints(SpaceTask):
         moved, upright = self._moved(here, before, after, pose)
         passed = here.passed + (here.squared_distance(moved) <= self.waypoint_radius**2)
         return replace(here, pose=moved, alive=upright, passed=passed, score=passed.astype(np.float64)), after
+
+    def observation_sizes(self) -> Array:
+        way = np.full(3, max(1.0, self.arena_radius / USUAL_ARENA))
+        return np.concatenate([np.ones(len(self.observations) - 3), way])
 
     def hide_future(self, task_state: TaskState) -> SpaceState:
         """Return the trials with the next waypoint only; all later ones are moved to the start."""

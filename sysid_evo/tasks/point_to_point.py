@@ -32,7 +32,7 @@ from sysid_evo.randomness import TASK_STREAM, draw
 from sysid_evo.registry.registry import register_task
 from sysid_evo.rigid_body import RigidBody
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks.in_space import SpaceState, SpaceWaypoints, waypoint_scene
+from sysid_evo.tasks.in_space import USUAL_ARENA, SpaceState, SpaceWaypoints, waypoint_scene
 from sysid_evo.tasks.task import Scene, Task, TaskState, planar_places
 from sysid_evo.types import Array, IntArray, Seeds
 
@@ -93,7 +93,7 @@ class PointToPoint(Task):
         Channel("waypoint_distance", "m"),
     )
 
-    def __init__(self, *, horizon: int = 500, waypoint_radius: float = 0.3, arena_radius: float = 1.5) -> None:
+    def __init__(self, *, horizon: int = 500, waypoint_radius: float = 0.3, arena_radius: float = USUAL_ARENA) -> None:
         if horizon < 1 or waypoint_radius <= 0 or arena_radius <= 0:
             raise InvalidArgument(
                 "point_to_point: expected horizon >= 1 and radii > 0, "
@@ -110,6 +110,12 @@ class PointToPoint(Task):
         return SpaceWaypoints(
             horizon=self.horizon, waypoint_radius=self.waypoint_radius, arena_radius=self.arena_radius
         ).bind(system)
+
+    def observation_sizes(self) -> Array:
+        """Return the sizes of a larger arena than the usual one, and of a body whose trials start in motion."""
+        forward, _ = self._speeds
+        speed, distance = abs(self.system.neutral_state[forward]), self.arena_radius / USUAL_ARENA
+        return np.maximum(1.0, [1.0, speed, 1.0, 1.0, distance])
 
     def check_system(self, system: System) -> None:
         if not isinstance(system.motion, RigidBody):

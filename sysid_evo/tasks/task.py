@@ -103,6 +103,14 @@ class Task(ABC):
         Here and below, ``task_state`` comes from `begin` of the same task; a task may declare its own class.
         """
 
+    def observation_sizes(self) -> Array:
+        """Return the size of each observation (n,) that a search begins with: 1, or more if it is larger by its unit.
+
+        The first weights of an observation are smaller by this factor, so that it does not saturate all outputs. The
+        task is bound.
+        """
+        return np.ones(len(self.observations))
+
     def formulas(self) -> Mapping[str, str]:
         """Return the formulas of observations in terms of states and targets, by name; the task is bound.
 

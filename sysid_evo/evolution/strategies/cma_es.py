@@ -73,7 +73,8 @@ class CmaEs(EvolutionStrategy):
 
     A generation is ``population`` candidates drawn from the adapted normal distribution, and the mean of that
     distribution. The mean does not enter the update; under noisy fitness it is often the best candidate. ``sigma`` is
-    the initial standard deviation around ``initial`` (default 0). The default is wide, so that the units of a network
+    the initial standard deviation around ``initial`` (default 0), in units of ``first_steps`` (n_parameters,) for each
+    parameter (default 1). The default is wide, so that the units of a network
     saturate; racing controllers were found there. Random numbers come from a generator keyed by (seed, generation).
 
     Source: Hansen, "The CMA evolution strategy: a tutorial" (2016, revised 2023, arXiv:1604.00772), appendix A. The
@@ -81,8 +82,9 @@ class CmaEs(EvolutionStrategy):
     """
 
     def __init__(
-        self, *, n_parameters: int, seed: int, population: int = 50, sigma: float = 3.0, initial: Array | None = None
-    ) -> None:
+        self, *, n_parameters: int, seed: int, population: int = 50, sigma: float = 3.0, initial: Array | None = None,
+        first_steps: Array | None = None,
+    ) -> None:  # fmt: skip
         if n_parameters < 1 or population < 4 or not 0.0 < sigma < np.inf:
             raise InvalidArgument(
                 f"cma_es: expected n_parameters >= 1, population >= 4, sigma > 0, "
@@ -93,7 +95,9 @@ class CmaEs(EvolutionStrategy):
         self.rates = LearningRates.of(n_parameters, population)
         centre = np.zeros(n_parameters) if initial is None else check_shape("initial", initial, (n_parameters,))
         self._m, self._sigma = centre.copy(), float(sigma)
-        self._C, self._B, self._D = np.eye(n_parameters), np.eye(n_parameters), np.ones(n_parameters)
+        ones = np.ones(n_parameters)
+        lengths = ones if first_steps is None else check_shape("first_steps", first_steps, (n_parameters,))
+        self._C, self._B, self._D = np.diag(lengths**2), np.eye(n_parameters), lengths.copy()
         self._p_c, self._p_sigma = np.zeros(n_parameters), np.zeros(n_parameters)
         self._elite = centre[None].copy()
         self.generation = self._decomposed = 0

@@ -210,3 +210,23 @@ def test_a_wrong_number_of_weights_is_refused():
     view = View(np.zeros((1, 1, 5)), np.zeros((1, 1, 3)), TRIALS)
     with pytest.raises(ShapeError, match=r"parameters: expected shape \(any, 78\), got \(1, 77\)"):
         network.act(np.zeros((1, 77)), np.zeros((1, 1, 6)), view)
+
+
+@pytest.mark.parametrize(
+    "controller",
+    [LinearFeedback(), LinearFeedback(inputs=("waypoint_distance", "forward_speed")), FeedForward(hidden=[3, 2]),
+     RecurrentNetwork(hidden=3)],
+    ids=["linear", "two inputs", "feed forward", "recurrent"],
+)  # fmt: skip
+def test_with_its_first_steps_a_large_observation_has_the_effect_of_a_small_one(controller):
+    bound, sizes = bound_to_car(controller), np.array([1.0, 5.0, 1.0, 2.0, 30.0])
+    rng = np.random.default_rng(1)
+    theta, small = 0.3 * rng.standard_normal(bound.n_parameters), rng.standard_normal((4, 5))
+    expected = outputs(bound, theta, small)
+    np.testing.assert_allclose(outputs(bound, theta * bound.first_steps(sizes), small * sizes), expected, atol=1e-12)
+    np.testing.assert_array_equal(bound.first_steps(np.ones(5)), 1.0)
+
+
+def test_a_controller_without_weights_of_observations_has_equal_first_steps():
+    pid = bound_to_car(Pid())
+    np.testing.assert_array_equal(pid.first_steps(np.full(5, 9.0)), np.ones(pid.n_parameters))

@@ -232,6 +232,22 @@ def test_it_starts_with_the_given_width():
     np.testing.assert_allclose(drawn.std(axis=0), 2.0, rtol=0.15)
 
 
+def test_it_starts_with_steps_of_their_own_sizes_and_learns_others():
+    steps = np.array([1.0, 0.1, 10.0])
+    strategy = CmaEs(n_parameters=3, seed=3, population=400, sigma=2.0, first_steps=steps)
+    np.testing.assert_allclose(strategy.ask()[:-1].std(axis=0), 2.0 * steps, rtol=0.15)
+    equal, usual = CmaEs(n_parameters=3, seed=3, first_steps=np.ones(3)), CmaEs(n_parameters=3, seed=3)
+    for _ in range(4):
+        population = usual.ask()
+        np.testing.assert_array_equal(equal.ask(), population)
+        for one in (equal, usual):
+            one.tell(population, sphere(population))
+    uneven = CmaEs(n_parameters=3, seed=3, first_steps=steps)
+    for _ in evolve(uneven, valley, 150):
+        pass
+    assert valley(uneven.elite).max() > -1e-6
+
+
 def test_the_global_random_state_is_neither_read_nor_changed():
     np.random.seed(1)  # noqa: NPY002  # the global source, which must not be in use
     first = CmaEs(n_parameters=3, seed=1).ask()
@@ -247,6 +263,8 @@ def test_what_cannot_be_searched_is_refused():
             CmaEs(n_parameters=2, seed=0, **wrong)
     with pytest.raises(ShapeError, match="initial"):
         CmaEs(n_parameters=2, seed=0, initial=np.zeros(3))
+    with pytest.raises(ShapeError, match="first_steps"):
+        CmaEs(n_parameters=2, seed=0, first_steps=np.ones(3))
     strategy = CmaEs(n_parameters=2, seed=0)
     with pytest.raises(InvalidArgument, match="expected 51 candidates, got 50"):
         strategy.tell(strategy.ask()[:-1], np.zeros(50))

@@ -340,3 +340,14 @@ def test_noise_belongs_to_what_a_controllers_cell_depends_on():
     ]
     assert len(set(digests)) == 4
     assert digest(noise="domain_randomisation(gain=0.2, latency=2, sensor=0.2)") == digests[1]
+
+
+@pytest.mark.parametrize(("arena", "share"), [(1.5, 1.0), (45.0, 1.0 / 30.0)])
+def test_a_search_begins_with_small_weights_of_a_distance_in_a_large_arena(evolved, runners, arena, share):
+    watched = Watched(runners["linear"])
+    task = f"point_to_point(horizon=5, arena_radius={arena})"
+    search = replace(SETTINGS, generations=1, controller="linear", strategy="cma_es(sigma=0.3)", task=task)
+    evolved(search, {"linear": watched})
+    weights = watched.parameters[0][:-1].reshape(50, -1, 2)
+    np.testing.assert_allclose(weights[:, 4].std(), 0.3 * share, rtol=0.3)
+    np.testing.assert_allclose(weights[:, 3].std(), 0.3, rtol=0.3)

@@ -189,3 +189,13 @@ def test_the_scene_of_a_trial_is_what_was_passed_and_the_next_waypoint(car, ladd
     scene = task.scene(task.begin(seeds_of(1)), 0)
     assert scene.markers.shape == (0, 2)
     assert scene.next_marker is None
+
+
+def test_distances_of_a_large_arena_and_the_speed_of_a_rolling_start_are_large_observations(car):
+    assert PointToPoint().bind(car).observation_sizes().tolist() == [1.0] * 5
+    assert PointToPoint(arena_radius=0.5).bind(car).observation_sizes().tolist() == [1.0] * 5
+    rolling = System(
+        [Channel("forward_speed", neutral=6.0), Channel("lateral_speed"), Channel("yaw_rate")],
+        car.controls, car.dt, PlanarBody(), "rolling",
+    )  # fmt: skip
+    assert PointToPoint(arena_radius=30.0).bind(rolling).observation_sizes().tolist() == [1.0, 6.0, 1.0, 1.0, 20.0]
