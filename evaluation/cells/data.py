@@ -8,6 +8,7 @@ from typing import Any
 
 from evaluation.cells.plants import Plant
 from sysid_evo.data import Dataset
+from sysid_evo.data.response import without_dead_stretches
 from sysid_evo.data.trajectory import reward_digest
 from sysid_evo.errors import InvalidArgument, LinkLost
 from sysid_evo.plan import CELL_KINDS, Cell, CellContext, CellKind, CellSettings, ResultType
@@ -40,7 +41,11 @@ class HoldOut:
     share: float = 0.25
 
     def of(self, dataset: Dataset) -> SplitDataset:
-        """Return both parts. Raises `InvalidArgument` or `InvalidData`, see `Dataset.split`."""
+        """Return both parts. Raises `InvalidArgument` or `InvalidData`, see `Dataset.split`.
+
+        Stretches in which commands have no effect are left out, unless the test episodes are named.
+        """
+        dataset = dataset if self.episodes is not None else without_dead_stretches(dataset)
         if self.episodes is None and self.share == 0.0:
             return SplitDataset(dataset, None)
         if self.episodes is not None:

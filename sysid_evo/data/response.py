@@ -1,9 +1,9 @@
-"""Responses of states to controls: delays, a linear fit, measured manoeuvres."""
+"""Responses of states to controls: delays, a linear fit, measured manoeuvres, stretches without any."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.trajectory import Trajectory, recording
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import System
-from sysid_evo.types import Array
+from sysid_evo.types import Array, BoolArray
 
 ORDER = 8
 """Order of the autoregressive model of a control."""
@@ -402,3 +402,120 @@ def _circle(system: System, episode: Trajectory) -> Iterator[ManoeuvreResult]:
     yield ManoeuvreResult(
         f"turning radius {side}, {_direction(speed)} at {abs(speed):.2f} m/s", radius, error, "m", name
     )
+
+
+RESPONSE = 1.5
+"""Time (s) after the start of a window in which a robot at rest responds."""
+FEWEST_SAMPLES = 10
+"""Minimum number of samples of a window."""
+LONG, ACTIVE = 3.0, 0.15
+"""Least length (s) of a stretch at rest, and the largest share of moving samples in it, by noise."""
+WHOLE = 0.8
+"""Share of an episode at rest from which the whole episode is one stretch."""
+NEIGHBOURS, FEWEST_NEIGHBOURS, CLOSE = 5, 3, 0.2
+"""Number of similar windows that are compared, the least number of them, and the largest difference of a command, as a
+share of its range in all data."""
+RESPONDING, EVIDENCE = 0.8, 2.0
+"""Share of the similar windows in which the robot moved, and the time (s) of windows of a stretch where it should have.
+"""
+
+
+def without_dead_stretches(dataset: Dataset) -> Dataset:
+    """Return ``dataset`` without the stretches in which commands have no effect, and with a note on them.
+
+    A stretch at rest of a planar body is left out if the robot left rest under similar commands in other episodes. Rest
+    without a command, or under commands that never move the robot, is kept. Other systems have no standstill. It is the
+    same object if nothing is left out, or if nothing would be left.
+    """
+    if not isinstance(dataset.system.motion, PlanarBody):
+        return dataset
+    still = [~moving for moving in dataset.moving]
+    stretches = [_stretches(rows, dataset.system) for rows in still]
+    if not any(stretches):
+        return dataset
+    dead, size = _dead(dataset, still, stretches), _window(dataset.system)
+    kept = list[Trajectory]()
+    for episode, own in zip(dataset, dead, strict=True):
+        edges = [0, *(edge for stretch in own for edge in stretch), len(episode)]
+        for first, last in zip(edges[::2], edges[1::2], strict=True):
+            if last - first == len(episode):
+                kept.append(episode)
+            elif last - first >= size:
+                kept.append(episode[first:last])
+    count = sum(map(len, dead))
+    if not count or not kept:
+        return dataset
+    seconds = sum(last - first for own in dead for first, last in own) * dataset.system.dt
+    names = [episode.name for episode, own in zip(dataset, dead, strict=True) if own]
+    note = (
+        f"{seconds:.0f} s of {dataset.duration:.0f} s are left out, in {', '.join(names)}: the robot did not move "
+        "under commands that move it in other episodes. Was it blocked or switched off?"
+    )
+    return replace(dataset.with_episodes(kept), notes=(*dataset.notes, note))
+
+
+def _window(system: System) -> int:
+    return max(FEWEST_SAMPLES, round(RESPONSE / system.dt))
+
+
+def _stretches(still: BoolArray, system: System) -> list[tuple[int, int]]:
+    """Return first and last step of the long stretches at rest of an episode."""
+    size = max(2, round(LONG / system.dt))
+    if len(still) <= size:
+        return []
+    if still.mean() >= WHOLE:
+        return [(0, len(still) - 1)]
+    share = np.convolve(~still, np.ones(size), mode="valid") / size
+    rows = np.zeros(len(still), dtype=bool)
+    for start in np.flatnonzero(share <= ACTIVE):
+        rows[start : start + size] = True
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]).astype(np.int8)))
+    return [(int(first), min(int(last), len(still) - 1)) for first, last in edges.reshape(-1, 2)]
+
+
+def _dead(
+    dataset: Dataset, still: list[BoolArray], stretches: list[list[tuple[int, int]]]
+) -> list[list[tuple[int, int]]]:
+    """Return the stretches, by episode, in which the robot should have moved.
+
+    Commands of a window at rest are similar if their means over both halves are. A command counts as far as it is
+    correlated with leaving rest.
+    """
+    size, dt = _window(dataset.system), dataset.system.dt
+    stride = max(1, size // 6)
+    windows = [
+        (number, start, *(half.mean(axis=0) for half in np.array_split(episode.controls[start : start + size], 2)))
+        for number, (episode, rest) in enumerate(zip(dataset, still, strict=True))
+        for start in range(0, len(episode) - size + 1, stride)
+        if rest[start]
+    ]
+    owner, begin = (np.array([window[i] for window in windows], dtype=np.int64) for i in (0, 1))
+    responded = np.array([not still[i][start : start + size + 1].all() for i, start in zip(owner, begin, strict=True)])
+    known = np.array([rest.mean() < WHOLE for rest in still])[owner] if len(owner) else np.zeros(0, dtype=bool)
+    if known.sum() < FEWEST_NEIGHBOURS or responded[known].all() or not responded[known].any():
+        return [[] for _ in stretches]
+    commands = np.array([np.concatenate(window[2:]) for window in windows])
+    spread = np.tile(np.ptp(np.concatenate([episode.controls for episode in dataset]), axis=0), 2)
+    off = commands[known] - commands[known].mean(axis=0)
+    weights = np.abs(off.T @ (responded[known] - responded[known].mean())) / np.maximum(
+        np.sqrt((off**2).sum(axis=0)), TINY
+    )
+    features = commands / np.where(spread > 0.0, spread, 1.0) * (weights / weights.max())
+    found = list[list[tuple[int, int]]]()
+    for number, own in enumerate(stretches):
+        found.append([])
+        others = np.flatnonzero(known & (owner != number))
+        for first, last in own if len(others) >= FEWEST_NEIGHBOURS else ():
+            inside = np.flatnonzero((owner == number) & (begin >= first) & (begin + size <= last) & ~responded)
+            expected = 0
+            for row in inside:
+                distance = np.abs(features[others] - features[row]).max(axis=1)
+                nearest = np.argsort(distance, kind="stable")[:NEIGHBOURS]
+                near = responded[others[nearest[distance[nearest] <= CLOSE]]]
+                expected += len(near) >= FEWEST_NEIGHBOURS and near.mean() >= RESPONDING
+            if expected * stride * dt >= EVIDENCE:
+                found[-1].append((first, last))
+    return found
+
+
+TINY = 1e-12
