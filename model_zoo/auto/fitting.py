@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import warnings
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
@@ -16,7 +16,8 @@ from sysid_evo.models import DynamicsModel
 from sysid_evo.models.base import make_model
 from sysid_evo.processors import available_processors
 from sysid_evo.progress import Progress
-from sysid_evo.registry import models
+from sysid_evo.registry import load_plugins_again, loaded_plugins, models
+from sysid_evo.registry.objects import objects_named, receive_objects
 from sysid_evo.types import Array
 from sysid_evo.validation.simulation_error import HeldOutTest
 
@@ -150,7 +151,7 @@ def _in_processes(tasks: Sequence[FitTask], processes: int) -> Generator[tuple[F
         max_nbytes=None,
         idle_worker_timeout=IDLE_TIMEOUT,
         initializer=load,
-        initargs=(LARGE_LIBRARIES,),
+        initargs=(LARGE_LIBRARIES, loaded_plugins(), objects_named(repr([t.parameters for t in tasks]).encode())),
     )
     outcomes = pool(call(number, task) for number, task in enumerate(tasks))
     try:
@@ -162,11 +163,13 @@ def _in_processes(tasks: Sequence[FitTask], processes: int) -> Generator[tuple[F
             outcomes.close()
 
 
-def load(libraries: Sequence[str]) -> None:
-    """Import those of ``libraries`` that are installed."""
+def load(libraries: Sequence[str], plugins: Sequence[str], objects: Mapping[str, Any]) -> None:
+    """Import those of ``libraries`` that are installed, and take over plugins and objects of the parent process."""
     for name in libraries:
         if importlib.util.find_spec(name) is not None:
             importlib.import_module(name)
+    load_plugins_again(plugins)
+    receive_objects(objects)
 
 
 def _numbered(number: int, task: FitTask) -> tuple[int, FitOutcome]:

@@ -5,6 +5,9 @@ from functools import cache
 
 import numpy as np
 import pytest
+from sklearn.linear_model import Ridge
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 
 from model_zoo.auto.candidates import NUMBERS, SHIPPED, STEPS, Candidate, candidates_for, candidates_named
 from model_zoo.auto.fitting import LARGE_LIBRARIES, FitTask, FitWork, fitted, load
@@ -21,11 +24,13 @@ from model_zoo.auto.selection import (
 )
 from model_zoo.average import Average
 from model_zoo.linear import Linear
+from model_zoo.regressor import Regressor
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, SysidEvoError
 from sysid_evo.models import DynamicsModel, load_model, save_model
 from sysid_evo.models.adaptation import held_out_error
 from sysid_evo.models.adaptation.selection import NEW_FIT, adaptation
+from sysid_evo.models.adapters import as_spec
 from sysid_evo.models.base import make_model
 from sysid_evo.processors import use_processors
 from sysid_evo.registry import Spec, make_robot, models
@@ -261,9 +266,23 @@ def test_what_progress_raises_is_no_failure_of_a_candidate():
 def test_a_process_that_fits_candidates_loads_what_is_installed_and_does_without_the_rest(monkeypatch):
     asked = []
     monkeypatch.setattr("model_zoo.auto.fitting.importlib.import_module", asked.append)
-    load([*LARGE_LIBRARIES, "no_such_library"])
+    load([*LARGE_LIBRARIES, "no_such_library"], [], {})
     assert asked == [name for name in LARGE_LIBRARIES if importlib.util.find_spec(name)]
     assert "numba" in asked
+
+
+@pytest.mark.nightly
+def test_objects_from_python_are_fitted_in_other_processes_too(data):
+    pytest.importorskip("skops")
+    pipe = make_pipeline(StandardScaler(), Ridge())
+    spec = as_spec(Regressor(estimator=pipe, state_lags=0, control_lags=0))
+    tasks = [FitTask((number, 0), spec.name, dict(spec.parameters), data, number, 20.0) for number in range(2)]
+    try:
+        use_processors(2)
+        outcomes = FitWork(None, 40.0).outcomes(tasks)
+    finally:
+        use_processors(0)
+    assert [outcome.reason for outcome in outcomes.values()] == ["", ""]
 
 
 @pytest.mark.nightly
