@@ -1,0 +1,1 @@
+"""Tools of the field side by side: error, time, and the controllers evolved in their models."""
