@@ -69,7 +69,7 @@ def as_model(thing: object, *, fitted: bool = False) -> DynamicsModel:
         line = ", ".join(["'narx'", *(str(adapters.glance(name, "example")) for name in adapters.names())])
         raise InvalidArgument(
             f"expected the name of a family, or an object of a kind that an adapter recognises "
-            f"({', '.join(adapters.names())}), got {got or f'a {class_name(thing)}'}. This works: models=[{line}]"
+            f"({', '.join(adapters.names())}), got {got or f'an object of the class {class_name(thing)}'}. This works: models=[{line}]"
         )
     return adapter.model(thing, fitted=fitted)
 
@@ -77,7 +77,8 @@ def as_model(thing: object, *, fitted: bool = False) -> DynamicsModel:
 def as_spec(given: object) -> Spec:
     """Return the spec of a text, of an unfitted model or of an object that an adapter recognises.
 
-    Its label is the name of the class or function. Raises `InvalidArgument`.
+    Its label is the name of the class or function. A preset changes no parameter of a model that is ``given`` itself.
+    Raises `InvalidArgument`.
     """
     if isinstance(given, Spec):
         return given
@@ -90,8 +91,11 @@ def as_spec(given: object) -> Spec:
             f"expected an unfitted {name}, got a fitted one, which would be fitted again: pass .clone_unfitted()"
         )
     defaults = models.parameters(name)
+    kept = {key for preset in model.presets.values() for key in preset} if model is given else set()
     parameters = {
-        key: value for key, value in plain_parameters(model).items() if key not in defaults or value != defaults[key]
+        key: value
+        for key, value in plain_parameters(model).items()
+        if key not in defaults or value != defaults[key] or key in kept
     }
     try:
         strict_json(parameters)
@@ -104,6 +108,9 @@ def as_spec(given: object) -> Spec:
 def model_texts(given: Sequence[object] | Mapping[str, object]) -> tuple[str, ...]:
     """Return the specs of models as texts; the keys of a mapping are the labels. Raises `InvalidArgument`."""
     if isinstance(given, Mapping):
+        odd = next((label for label in given if not re.fullmatch(r"[A-Za-z_][\w.-]*", label)), None)
+        if odd is not None:
+            raise InvalidArgument(f"models: expected names of letters, digits and _, such as my_model, got {odd!r}")
         named = ((label, as_spec(one)) for label, one in given.items())
         return tuple(str(Spec(one.name, one.parameters, label)) for label, one in named)
     texts = [one if isinstance(one, str) else str(as_spec(one)) for one in given]

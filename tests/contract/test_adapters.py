@@ -8,9 +8,11 @@ import pytest
 
 import sysid_evo.registry.objects as table
 from evaluation import compare
+from evaluation.chosen_models import with_preset
 from model_zoo.auto.candidates import candidates_named
 from model_zoo.average import Average
 from model_zoo.linear import Linear
+from model_zoo.polynomial.narx import Narx
 from sysid_evo import Adapter, ControllerEvolution, as_model, evolve_controller
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.models import load_model, save_model
@@ -98,15 +100,22 @@ def test_names_come_from_the_class_or_from_a_dict():
     assert model_texts(["narx", Linear(ridge=0.5)]) == ("narx", "linear(ridge=0.5)")
     (text,) = model_texts({"mine": Gain(0.1)})
     assert text.startswith("mine=gained(thing=")
+    with pytest.raises(InvalidArgument, match="such as my_model, got 'my model'"):
+        model_texts({"my model": "narx"})
     with pytest.raises(InvalidArgument, match=r"2 objects are called Gain: name them by a dict, models=\{'a': Gain"):
         model_texts([Gain(0.1), Gain(0.2)])
 
 
 def test_a_refused_object_is_named_with_a_line_that_works():
-    with pytest.raises(InvalidArgument, match=r"got a array.*models=\['narx', Gain\(0.1\)\]"):
+    with pytest.raises(InvalidArgument, match=r"got an object of the class array.*models=\['narx', .*Gain\(0.1\)"):
         as_model(__import__("array").array("d"))
     with pytest.raises(InvalidArgument, match=r"got the class Gain: an object is Gain\(\)"):
         as_model(Gain)
+
+
+def test_a_preset_changes_no_parameter_of_a_model_that_is_given():
+    spec = with_preset(as_spec(Narx(degree=1)), "quick")
+    assert spec.parameters == {"degree": 1, "terms": None, "lag_search": "all"}
 
 
 def test_a_fitted_model_is_not_fitted_again_in_silence(throttle_car_data):

@@ -25,6 +25,7 @@ from sklearn.preprocessing import FunctionTransformer, StandardScaler
 from sklearn.utils import all_estimators
 
 from evaluation import compare
+from evaluation.chosen_models import with_preset
 from model_zoo.estimators import MODULES, _regressors, read, written
 from model_zoo.regressor import Regressor
 from sysid_evo import as_model, load_model, make_model, save_model
@@ -71,7 +72,9 @@ def test_a_fitted_regressor_is_used_as_it_is_and_equals_its_own_predictions(thro
         states.append(state)
     assert np.array_equal(model.simulate(run.states[0], run.controls[:50]), states)
     assert "was fitted in Python before and is used as it is" in model.fit_note
-    assert as_model(forest, fitted=True).target == "change"
+    given = as_model(forest, fitted=True)
+    assert given.target == "change"
+    assert with_preset(as_spec(given), "quick").parameters["control_lags"] is None, "it has the inputs that it has"
     with pytest.raises(InvalidArgument, match=r"expected a fitted one with the inputs .*expecting 4 features as input"):
         Regressor(estimator=Ridge().fit(inputs[:, :4], run.states[1:]), fitted=True).fit(throttle_car_data)
     with pytest.raises(InvalidArgument, match=r"and 3 outputs, got outputs of shape \(2,\)"):
@@ -245,7 +248,10 @@ def test_wrong_names_and_settings_are_refused_before_the_fit(monkeypatch):
         make_model("regressor(estimator=StackingRegressor)")
     with pytest.raises(InvalidArgument, match="alpha: set the parameters of an object before it is passed"):
         Regressor(estimator=Ridge(), alpha=3)
-    with pytest.raises(InvalidArgument, match=r"recognises \(.*scikit_learn.*\), got a KMeans. This works: models="):
+    with pytest.raises(
+        InvalidArgument,
+        match=r"recognises \(.*scikit_learn.*\), got an object of the class KMeans. This works: models=",
+    ):
         as_model(KMeans())
     model = make_model("regressor(estimator=Ridge, alpha=2.0)")
     with pytest.raises(UnknownParameter):
