@@ -65,11 +65,13 @@ def as_model(thing: object, *, fitted: bool = False) -> DynamicsModel:
         return make_model(thing)
     adapter = None if isinstance(thing, type) else adapter_of(thing)
     if adapter is None:
-        got = f"the class {thing.__name__}: an object is {thing.__name__}()" if isinstance(thing, type) else None
+        got = f"an object of the class {class_name(thing)}"
+        if isinstance(thing, type):
+            got = f"the class {thing.__name__}: an object is {thing.__name__}()"
         line = ", ".join(["'narx'", *(str(adapters.glance(name, "example")) for name in adapters.names())])
         raise InvalidArgument(
             f"expected the name of a family, or an object of a kind that an adapter recognises "
-            f"({', '.join(adapters.names())}), got {got or f'an object of the class {class_name(thing)}'}. This works: models=[{line}]"
+            f"({', '.join(adapters.names())}), got {got}. This works: models=[{line}]"
         )
     return adapter.model(thing, fitted=fitted)
 
