@@ -52,6 +52,7 @@ class FunctionGreyBox(GreyBox):
     compiled; others run in NumPy.
     """
 
+    knowledge = "grey"
     plugin_parameters = ("function",)
 
     function: Any = None
