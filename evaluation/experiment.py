@@ -260,9 +260,9 @@ Lags and long horizons would leave nothing of episodes of five steps: with them 
 """
 IN_LONGER_ROUNDS: Mapping[str, Any] = {
     **IN_ROUNDS,
-    "models": (IN_ROUNDS["models"][1], "narx"),
+    "models": (IN_ROUNDS["models"][1], "narx(state_lags=0, control_lags=0)"),
     "controller": "feed_forward(hidden=16)",
-    "generations": 1000,
+    "generations": 500,
     "trials": 10,
     "repeats": 1,
     "noisy_share": 0.5,

@@ -37,7 +37,7 @@ ROUND_STEPS, EPISODE_STEPS = 1000, 100
 BEYOND = 1.2
 """Horizon of the evolution as a multiple of the episodes of a round."""
 FEWEST_EPISODES = 2
-DEFAULT_ROUNDS, MORE_ROUNDS = 6, 8
+DEFAULT_ROUNDS, MORE_ROUNDS = 6, 10
 """Number of rounds by default: if trials end early, and if the reward is learned."""
 RECORDING_SECONDS = 100.0
 RANDOM_TRIALS = 4
@@ -169,9 +169,7 @@ class Round(CellSettings):
             f"round {self.number}",
             learned,
             dataset.system,
-            replace(
-                continued(self.evolution, best), task=with_horizon(goal, min(round(BEYOND * EPISODE_STEPS), longest))
-            ),
+            in_trials_of(continued(self.evolution, best), goal, longest),
             seed=cell_seed(self.seed, f"round {self.number}"),
             initial=None if best is None else best.parameters,
             progress=work.progress,
@@ -206,6 +204,17 @@ class Round(CellSettings):
         ended = reason_to_end(known, made, steps, same_starts=noisy < episodes)
         summary = replace(summary, rounds=(*known, made), ended=ended)
         return RoundsSoFar(dataset.with_episodes([*dataset.episodes, *new]), summary)
+
+
+def in_trials_of(evolution: ControllerEvolution, task: Spec, longest: int) -> ControllerEvolution:
+    """Return ``evolution`` at ``task`` in trials of `BEYOND` times `EPISODE_STEPS` steps, at most the ``longest``.
+
+    The fewer steps, the more generations, so that the search simulates as many steps.
+    """
+    usual = round(BEYOND * EPISODE_STEPS)
+    horizon = min(usual, longest)
+    generations = evolution.generations * usual // horizon
+    return replace(evolution, task=with_horizon(task, horizon), generations=generations)
 
 
 def continued(evolution: ControllerEvolution, best: RecordingRound | None) -> ControllerEvolution:

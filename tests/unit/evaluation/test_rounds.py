@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.cells.rounds import ChooseRound, Round, RoundData, RoundsSoFar, continued, error_ahead
+from evaluation.cells.rounds import ChooseRound, Round, RoundData, RoundsSoFar, continued, error_ahead, in_trials_of
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
 from evaluation.report.report import brief, to_html
@@ -14,7 +14,7 @@ from evaluation.rounds import RecordingRound, RoundsSummary, reason_to_end
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import ControllerEvolution
-from sysid_evo.registry import make_robot, robot_spec
+from sysid_evo.registry import Spec, make_robot, robot_spec
 from tests.fixtures.known_models import Known, fitted, recording
 from tests.fixtures.reports import matrix, printed, report
 
@@ -68,7 +68,7 @@ def test_given_settings_replace_those_of_rounds():
     evolution = longer.settings.evolution
     assert (str(evolution.controller), evolution.generations, longer.settings.noisy_share) == (
         "feed_forward",
-        1000,
+        500,
         0.5,
     )
 
@@ -86,6 +86,13 @@ def test_the_start_of_the_best_round_comes_first_and_continues_from_it():
     best = made(1, [1.0] * 2, [1.0] * 2, controller="linear")
     assert [one.controller.text for one in continued(evolution, best).starts] == ["linear", "feed_forward"]
     assert continued(evolution, None) is evolution
+
+
+def test_shorter_trials_get_more_generations_of_the_same_number_of_steps():
+    task, evolution = Spec.parse('environment(id="CartPole-v1")'), ControllerEvolution(generations=50)
+    for longest, horizon, generations in ((500, 120, 50), (50, 50, 120), (120, 120, 50)):
+        found = in_trials_of(evolution, task, longest)
+        assert (found.task.parameters["horizon"], found.generations) == (horizon, generations)
 
 
 def test_rounds_need_a_robot_that_is_a_program():
@@ -219,7 +226,7 @@ class Everything(Work):
             None,
         ),
         ({"robot": 'gymnasium(id="Pendulum-v1")'}, None),  # its reward is known
-        ({"robot": 'gymnasium(id="Reacher-v5")'}, 8),  # its reward is learned
+        ({"robot": 'gymnasium(id="Reacher-v5")'}, 10),  # its reward is learned
         ({"robot": 'gymnasium(id="Reacher-v5")', "max_steps": 10_000_000}, None),  # an hour of steps
         ({"robot": "cart_pole", "task": "balance"}, None),
     ],
