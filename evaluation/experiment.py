@@ -262,8 +262,8 @@ IN_LONGER_ROUNDS: Mapping[str, Any] = {
     **IN_ROUNDS,
     "models": (IN_ROUNDS["models"][1], "narx(state_lags=0, control_lags=0)"),
     "controller": "feed_forward(hidden=16)",
-    "generations": 500,
-    "trials": 10,
+    "generations": 250,
+    "trials": 20,
     "repeats": 1,
     "noisy_share": 0.5,
 }

@@ -39,6 +39,8 @@ BEYOND = 1.2
 FEWEST_EPISODES = 2
 DEFAULT_ROUNDS, MORE_ROUNDS = 6, 10
 """Number of rounds by default: if trials end early, and if the reward is learned."""
+NEARER = 0.1
+"""Factor of sigma in a search that continues a controller."""
 RECORDING_SECONDS = 100.0
 RANDOM_TRIALS = 4
 """Number of trials under random commands that show whether trials end early."""
@@ -201,7 +203,7 @@ class Round(CellSettings):
             steps=np.concatenate([one.survived[0] for one in driven]),
             errors={label: error_ahead(model, dataset, new) for label, model in learned.items()},
         )
-        ended = reason_to_end(known, made, steps, same_starts=noisy < episodes)
+        ended = reason_to_end(known, made, steps)
         summary = replace(summary, rounds=(*known, made), ended=ended)
         return RoundsSoFar(dataset.with_episodes([*dataset.episodes, *new]), summary)
 
@@ -218,11 +220,25 @@ def in_trials_of(evolution: ControllerEvolution, task: Spec, longest: int) -> Co
 
 
 def continued(evolution: ControllerEvolution, best: RecordingRound | None) -> ControllerEvolution:
-    """Return ``evolution`` with the start first whose controller is that of ``best``, from which it continues."""
+    """Return ``evolution`` with the start first whose controller is that of ``best``, from which it continues.
+
+    A run that only continues searches nearer to ``best``: a large sigma would lose what the rounds before have found.
+    """
     if best is None:
         return evolution
     starts = sorted(evolution.starts, key=lambda one: one.controller.text != best.controller)
-    return replace(evolution, starts=tuple(starts))
+    if starts:
+        starts[0] = replace(starts[0], strategy=nearer(starts[0].strategy))
+    strategy = nearer(evolution.strategy) if evolution.repeats == 1 else evolution.strategy
+    return replace(evolution, starts=tuple(starts), strategy=strategy)
+
+
+def nearer(strategy: Spec) -> Spec:
+    """Return ``strategy`` with its sigma times `NEARER`, unchanged if none is given."""
+    sigma = strategy.parameters.get("sigma")
+    if sigma is None:
+        return strategy
+    return Spec(strategy.name, {**strategy.parameters, "sigma": NEARER * float(sigma)}, strategy.label)
 
 
 def last_round(experiment: Experiment, robot: Plant | None, first: Cell, specs: tuple[Spec, ...]) -> Cell[Round]:

@@ -101,7 +101,7 @@ def main(arguments: list[str] | None = None) -> int:
         robot = GymnasiumRobot(id=name)
         for seed in map(int, given.seeds.split(",")):
             folder, began = given.out / f"{name}-{seed}", time.perf_counter()
-            report = compare(out=folder, robot=f"gymnasium(id={name!r})", seed=seed)
+            report = compare(out=folder, robot=f'gymnasium(id="{name}")', seed=seed)
             clock = time.perf_counter() - began
             assert report.transfer is not None
             assert report.transfer.pick is not None
