@@ -12,7 +12,7 @@ from evaluation.advice.evidence import ModelAdvice
 from evaluation.behaviour import DrivingSummary, driving_summaries
 from evaluation.exploitability.results import ModelExploitability, outside_shares
 from evaluation.linearisation import LinearResponse, OperatingPoint, linearised
-from evaluation.prediction.scores import ConditionError, Prediction, error_of
+from evaluation.prediction.scores import ConditionError, Prediction, forecast_error
 from evaluation.rounds import RoundsSummary
 from evaluation.transfer.forecast import Forecast, ModelForecast, best_choice, forecasts, model_forecasts
 from evaluation.transfer.matrix import TransferMatrix
@@ -72,7 +72,7 @@ class ComparisonResults(Displayed):
         if self.matrix is None:
             return {}
         models = () if self.prediction is None else self.prediction.models
-        errors = {model.name: error_of(model) for model in models}
+        errors = {model.name: forecast_error(model) for model in models}
         return forecasts(self.matrix, errors, outside_shares(self.exploitability))
 
     @cached_property
@@ -99,6 +99,12 @@ class ComparisonResults(Displayed):
     def finished(self) -> bool:
         """Whether every step was computed or failed; False if the run was interrupted."""
         return all(failure.reason != WAITING for failure in self.all_failures)
+
+    @property
+    def model_warnings(self) -> tuple[str, ...]:
+        """Sentences on models that fail the `SanityCheck`; forecasts leave them out."""
+        models = () if self.prediction is None else self.prediction.models
+        return tuple(f"{model.warning}. Forecasts leave it out." for model in models if model.warning)
 
     @property
     def notes(self) -> tuple[str, ...]:

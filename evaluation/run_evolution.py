@@ -34,7 +34,7 @@ from evaluation.members import (
     other_models,
     system_of,
 )
-from evaluation.prediction.scores import error_of
+from evaluation.prediction.scores import forecast_error
 from evaluation.run_folder import run_of_controller
 from evaluation.steps import Steps
 from evaluation.transfer.forecast import Forecast, forecasts
@@ -181,7 +181,7 @@ def forecast_from(store: Store, champion: Champion, runs: Sequence[Cell[Run]]) -
         [cell for _, cell in found.values()],
         families={label: column.registered for label, (column, _) in found.items()},
     )
-    errors = {label: error_of(prediction) for label, prediction in predicted.items()}
+    errors = {label: forecast_error(prediction) for label, prediction in predicted.items()}
     return forecasts(matrix, errors).get(champion.name)
 
 

@@ -25,6 +25,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidData
 from sysid_evo.models import DynamicsModel, load_model, save_model
 from sysid_evo.models.base import make_model
+from sysid_evo.models.sanity import SanityCheck
 from sysid_evo.plan import CELL_KINDS, Cell, CellContext, CellKind, CellSettings, ResultType, cell_seed
 from sysid_evo.registry import Spec, models
 from sysid_evo.validation.measures import mean_over_channels
@@ -112,23 +113,25 @@ class Predict(CellSettings):
         parts = work.result(self.data)
         cases = measured_cases(parts.training, parts.test, self.protocol)
         if self.model is None:
-            model: DynamicsModel = Persistence().fit(parts.training, rng=np.random.default_rng(0))
-        else:
-            model = work.result(self.model)
-        return score_model(self.label, model, cases, family=self.family)
+            persistence = Persistence().fit(parts.training, rng=np.random.default_rng(0))
+            return score_model(self.label, persistence, cases, family=self.family)
+        check = SanityCheck.of((parts.training, parts.test))
+        return score_model(self.label, work.result(self.model), cases, family=self.family, check=check)
 
 
 @dataclass(frozen=True)
 class HeldOutScore:
     """Normalised error N of a model after ``steps`` on held-out data that form ``blocks`` blocks of time.
 
-    ``evaluated_on`` names these data in words; ``n`` is None if they do not allow an estimate.
+    ``evaluated_on`` names these data in words; ``n`` is None if they do not allow an estimate. ``warning`` is that of
+    the `SanityCheck`.
     """
 
     n: float | None
     steps: int | None
     blocks: int | None
     evaluated_on: str
+    warning: str = ""
 
 
 @dataclass(frozen=True)
@@ -173,12 +176,14 @@ class ScoreFit(CellSettings):
             horizon = cases.main_horizon
             if evaluated_on != "the test part":
                 model = fit.learn(parts.training, work)
-            score = score_model(self.fit.name, model, cases, family="").score(horizon)
+            check = SanityCheck.of((parts.training, parts.test))
+            found = score_model(self.fit.name, model, cases, family="", check=check)
+            score = found.score(horizon)
         except InvalidData as error:
             return HeldOutScore(None, None, None, str(error))
         if score is None or not np.isfinite(score.n):
             return HeldOutScore(None, None, None, "; ".join(cases.notes))
-        return HeldOutScore(score.n, horizon, cases.blocks(horizon), evaluated_on)
+        return HeldOutScore(score.n, horizon, cases.blocks(horizon), evaluated_on, found.warning)
 
 
 @dataclass(frozen=True)
@@ -274,6 +279,6 @@ def _save(value: DynamicsModel, path: Path, cell: Cell[Fit | StoredModelCell]) -
 
 MODELS = ResultType("models", _save, load_model)
 CELL_KINDS["fit"] = CELL_KINDS["model"] = CellKind(MODELS)
-CELL_KINDS["predict"] = CellKind(result_of(ModelPrediction))
-CELL_KINDS["score"] = CellKind(result_of(HeldOutScore))
+CELL_KINDS["predict"] = CellKind(result_of(ModelPrediction), version=2)
+CELL_KINDS["score"] = CellKind(result_of(HeldOutScore), version=2)
 CELL_KINDS["conditions"] = CellKind(result_of(tuple[ConditionError, ...]))

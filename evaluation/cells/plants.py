@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-from evaluation.prediction.scores import error_of
+import numpy as np
+
+from evaluation.prediction.scores import forecast_error
 from sysid_evo.engine import DynamicsRunner, Runner
 from sysid_evo.engine.rollout import SteppedRunner
 from sysid_evo.errors import InvalidArgument
@@ -154,7 +156,7 @@ def accurate_plants(columns: Sequence[Plant], work: CellContext) -> tuple[Plant,
 
     A model that lacks a lag or a force of the robot is no evidence on fast controllers, and several such models agree
     with each other: their median would overrate controllers that exploit this. Robots, models of unknown error and
-    the best models of two families are always included.
+    the best models of two families are always included; models that fail the `SanityCheck` only if all do.
     """
     errors = {column.label: error for column in columns if (error := prediction_error(column, work)) is not None}
     if not errors:
@@ -163,11 +165,11 @@ def accurate_plants(columns: Sequence[Plant], work: CellContext) -> tuple[Plant,
     for column in columns:
         if column.label in errors:
             families[column.registered] = min(families.get(column.registered, float("inf")), errors[column.label])
-    enough = sorted(families.values())[:FAMILIES][-1]
-    limit = max(enough, ACCURATE * min(errors.values()))
+    best = sorted(families.values())[:FAMILIES]
+    limit = max([ACCURATE * best[0], *(error for error in best if np.isfinite(error))])
     return tuple(column for column in columns if errors.get(column.label, 0.0) <= limit)
 
 
 def prediction_error(column: Plant, work: CellContext) -> float | None:
-    """Return N of a model on held-out data, None if it is not known."""
-    return None if column.prediction is None else error_of(work.result(column.prediction))
+    """Return N of a model on held-out data, None if it is not known, infinite if it fails the `SanityCheck`."""
+    return None if column.prediction is None else forecast_error(work.result(column.prediction))

@@ -27,7 +27,8 @@ class ModelPrediction:
     ``curve`` (H,) is N after each step up to the longest horizon, ``curve_interval`` (2, H) its interval at each of
     them; ``free_states`` are the predicted states (T, nx) of each simulated episode. ``regions`` are those of the near
     horizon, the largest error first. ``coverage`` is that of prediction intervals at every horizon, for a model that
-    has them. Errors are those of the simulation without noise.
+    has them. Errors are those of the simulation without noise. ``warning`` is a sentence if the model fails the
+    `SanityCheck`; the forecast leaves it out.
     """
 
     name: str
@@ -43,6 +44,7 @@ class ModelPrediction:
     coverage: tuple[Coverage, ...] = ()
     free_states: tuple[Array, ...] = field(default=(), repr=False)
     notes: tuple[str, ...] = ()
+    warning: str = ""
     reason: str = ""
 
     @property
@@ -236,3 +238,8 @@ def error_of(found: ModelPrediction | None) -> float | None:
     if found is None or not found.scores:
         return None
     return (found.score(HORIZON) or found.scores[-1]).n
+
+
+def forecast_error(found: ModelPrediction | None) -> float | None:
+    """Return `error_of` a model, infinite if it fails the `SanityCheck`: then it has no weight in forecasts."""
+    return float("inf") if found is not None and found.warning else error_of(found)

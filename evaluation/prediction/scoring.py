@@ -25,6 +25,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.data.trajectory import evenly_spaced
 from sysid_evo.errors import InvalidArgument, InvalidData, described
 from sysid_evo.models import DynamicsModel
+from sysid_evo.models.sanity import SanityCheck
 from sysid_evo.progress import Counter, Progress, reporting
 from sysid_evo.types import Array, BoolArray, IntArray
 from sysid_evo.validation import measures
@@ -48,31 +49,38 @@ def assess_prediction(
     """
     if PERSISTENCE in models:
         raise InvalidArgument(f"prediction: a model cannot be called {PERSISTENCE!r}, the name of the reference")
-    cases = measured_cases(training, test, protocol or PredictionProtocol())
+    cases, check = measured_cases(training, test, protocol or PredictionProtocol()), SanityCheck.of((training, test))
     no_change = Persistence().fit(training, rng=np.random.default_rng(0))
     rows = [assess_model(PERSISTENCE, no_change, cases, family=PERSISTENCE)]
     families = families or {}
     with reporting(progress, "predict") as report:
         counter = Counter(report, len(models))
         for name, model in models.items():
-            rows.append(assess_model(name, model, cases, family=families.get(name)))
+            rows.append(assess_model(name, model, cases, family=families.get(name), check=check))
             counter.advance(1)
     return Prediction(cases, tuple(rows))
 
 
 def assess_model(
-    name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str | None = None
+    name: str,
+    model: DynamicsModel,
+    cases: MeasuredCases,
+    *,
+    family: str | None = None,
+    check: SanityCheck | None = None,
 ) -> ModelPrediction:
     """Return the scores of one model, see `score_model`; an error becomes the reason of a failed row."""
     family = family or type(model).__name__
     try:
-        return score_model(name, model, cases, family=family)
+        return score_model(name, model, cases, family=family, check=check)
     except Exception as error:  # a plugin may fail in any way; the other rows must be computed
         return ModelPrediction(name, family, reason=described(error))
 
 
-def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str) -> ModelPrediction:
-    """Simulate the measured cases with one model and return its scores."""
+def score_model(
+    name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str, check: SanityCheck | None = None
+) -> ModelPrediction:
+    """Simulate the measured cases with one model and return its scores, with the result of ``check``."""
     forecasts = simulate_cases(model.without_noise(), cases)
     notes = [f"{name}: {model.fit_note}"] if model.fit_note else []
     notes += _short_of_history(name, model, cases)
@@ -101,6 +109,7 @@ def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family
         coverage=interval_coverage(model, cases),
         free_states=forecasts.free_runs,
         notes=tuple(notes),
+        warning="" if check is None or not (failure := check.warning(model)) else f"{name} {failure}",
     )
 
 

@@ -14,7 +14,7 @@ from evaluation.cells.plants import labels_of
 from evaluation.experiment import DEFAULT_TASK
 from evaluation.exploitability.results import ModelExploitability, outside_shares
 from evaluation.planning import Comparison
-from evaluation.prediction.scores import ErrorScore, ModelPrediction, error_of
+from evaluation.prediction.scores import ErrorScore, ModelPrediction, error_of, forecast_error
 from evaluation.study.planning import PlannedStudy
 from evaluation.study.study import Point, Study
 from evaluation.transfer.forecast import Forecast, best_choice, forecasts
@@ -264,12 +264,14 @@ class _Gathered:
         matrix = None if planned is None else planned.of(self.store.outcome)
         if planned is None:
             return
-        errors = {label: error_of(self._value(cell)) for label, cell in self.comparison.predictions.items()}
+        predicted = {label: self._value(cell) for label, cell in self.comparison.predictions.items()}
+        errors = {label: error_of(one) for label, one in predicted.items()}
+        weighted = {label: forecast_error(one) for label, one in predicted.items()}
         waiting = [run.settings.champion for run in planned.runs if self._state(run) == "missing"]
         ran = {cell.name for cell in planned.controllers if not any(cell is one for one in waiting)}
         looked = self.comparison.exploitability
         exploits = None if looked is None else self._value(looked)
-        found = {} if matrix is None else forecasts(matrix, errors, outside_shares(exploits or ()))
+        found = {} if matrix is None else forecasts(matrix, weighted, outside_shares(exploits or ()))
         found = {name: forecast for name, forecast in found.items() if name in ran}
         resting = None if matrix is None else next(iter(matrix.at_rest), None)
         summaries = {} if matrix is None else {one.name: one for one in summarise(matrix).controllers}

@@ -79,7 +79,7 @@ def forecasts(
     *,
     rule: ForecastRule = FORECAST_RULE,
 ) -> dict[str, Forecast]:
-    """Return the forecast of every controller that ran in two models or more, by its name.
+    """Return the forecast of every controller that ran in two models or more that have weight, by its name.
 
     ``errors`` are the prediction errors of the models by their columns, see `error_of`; ``outside`` the shares of the
     time outside the data of each controller in each model, by model and controller. Controllers evolved on a robot and
@@ -109,6 +109,8 @@ def _of_champion(
     rest = [0.0 if cell.failed else cell.mean for cell in resting] or [0.0] * len(cells)
     shares = [outside.get(cell.column, {}).get(champion.name) for cell in cells]
     weights = model_weights([errors.get(cell.column) for cell in cells], own, rule=rule)
+    if np.count_nonzero(weights) < 2:
+        return None
     value, low, high = _joined(
         means, [cell.fitness for cell in cells], weights, [errors.get(cell.column) for cell in cells], shares,
         np.array(rest), rule,
@@ -191,8 +193,10 @@ def weighted_median(values: Array, weights: Array) -> Array:
     """Return the weighted median (...) of ``values`` (M, ...) with weights (M,), interpolated between two values.
 
     Each value is at the middle of its weight, with linear interpolation between values: with equal weights this is the
-    usual median.
+    usual median. Values without weight do not count, unless none has any.
     """
+    if weights.any():
+        values, weights = values[weights > 0.0], weights[weights > 0.0]
     order = np.argsort(values, axis=0, kind="stable")
     ranked, weight = np.take_along_axis(values, order, axis=0), weights[order]
     middle = np.cumsum(weight, axis=0) - 0.5 * weight

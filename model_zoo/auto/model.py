@@ -37,12 +37,12 @@ class Auto(MeanModel):
     Each candidate (a family with lags and parameters) is fitted ``folds`` times without one group of recordings (blocks
     of time if there is only one recording) and simulated on that group. Its error is RMSE / standard deviation after
     ``horizons`` steps (10, 20, 60), averaged over states and horizons. A candidate that is far worse in the first fold
-    (1.25 times the cutoff, and significantly) skips the others. Candidates that fail, diverge or exceed ``cutoff``
-    times the lowest error are dropped; the cutoff is reduced if the mean of fewer candidates has a lower held-out
-    error, but candidates that are not significantly worse than the best stay (paired bootstrap). A good state space is
-    then replaced by its fully trained version and a good Gaussian process by the average of three, if that is better.
-    The candidates that are kept are refitted to all data; fully trained state spaces are averaged with those fitted
-    without each fold, except much worse ones.
+    (1.25 times the cutoff, and significantly) skips the others. Candidates that fail, diverge, do not pass the
+    `SanityCheck` or exceed ``cutoff`` times the lowest error are dropped; the cutoff is reduced if the mean of fewer
+    candidates has a lower held-out error, but candidates that are not significantly worse than the best stay (paired
+    bootstrap). A good state space is then replaced by its fully trained version and a good Gaussian process by the
+    average of three, if that is better. The candidates that are kept are refitted to all data; fully trained state
+    spaces are averaged with those fitted without each fold, except much worse ones.
 
     The weight of a model class (networks with lags, networks without, polynomials, neighbours, physics, state spaces)
     is the square root of the number of its members, which share it equally. Every member starts each step from the mean

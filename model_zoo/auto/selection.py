@@ -16,6 +16,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidData
 from sysid_evo.models import DynamicsModel
 from sysid_evo.models.ensemble import MeanModel
+from sysid_evo.models.sanity import SanityCheck
 from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.acceptance import inside
 from sysid_evo.validation.simulation_error import Errors, Scorer
@@ -81,6 +82,11 @@ class CandidateSelection:
                 reasons[number] = REPLACED
                 del usable[number]
         self._expect(len(usable) > 0, reasons)
+        useless = self._useless(rough, usable)
+        if len(useless) < len(usable):
+            for number, reason in useless.items():
+                reasons[number] = reason
+                del usable[number]
 
         def models(number: int) -> list[DynamicsModel]:
             return [outcome.model for outcome in rough[number] if outcome.model is not None]
@@ -107,6 +113,16 @@ class CandidateSelection:
         return CandidateChoice(
             errors, reasons, list(kept), passed, list(kept.values()), [models(number) for number in kept]
         )
+
+    def _useless(self, rough: Mapping[int, Sequence[FitOutcome]], numbers: Iterable[int]) -> dict[int, str]:
+        """Return those of the candidates that fail the sanity check in the folds, each with the reason."""
+        check, found = SanityCheck.of(*self.pairs), dict[int, str]()
+        for number in numbers:
+            self.work.report_alive()
+            models = [outcome.model for outcome in rough[number] if outcome.model is not None]
+            if reason := check.warning(*models):
+                found[number] = reason
+        return found
 
     def _fits(self, numbers: Iterable[int], folds: Iterable[int]) -> dict[tuple[int, int], FitOutcome]:
         return self.work.outcomes([self._task(number, fold) for number, fold in product(numbers, folds)])

@@ -231,6 +231,9 @@ def print_held_out_scores(comparison: evaluation.Comparison, store: sysid_evo.pl
         over = "after" if found[labels[0]].blocks is not None else "over the first"
         sentence = f"mean error {over} {evaluation.horizon_name(steps, dt)} on {evaluated_on}, in standard deviations"
         out.print(Text(f"error N{which}: {sentence}; a model with N of 1 or more is useless"))
+    for score in found.values():
+        if score.warning:
+            note(score.warning)
     blocks = [score.blocks for score in found.values() if score.blocks is not None]
     if blocks and not evaluation.enough_blocks(min(blocks)):
         note(f"only {min(blocks)} blocks of test data, too few to compare models; record more")

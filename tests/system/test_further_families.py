@@ -2,12 +2,15 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from evaluation import chosen_models, compare, plan_run, running, with_further_families
 from evaluation.experiment import Experiment
+from evaluation.prediction import assess_prediction
 from evaluation.report.sections.prediction import headline
 from model_zoo.linear import Linear
+from sysid_evo.cli.experiments import print_held_out_scores
 from sysid_evo.data import Dataset
 from sysid_evo.plan import Store, execute
 from sysid_evo.registry import models
@@ -61,6 +64,27 @@ def test_the_first_further_family_that_predicts_is_added_and_the_report_says_so(
     assert settled(tmp_path) == ([FAR, "linear"], ["linear"])
     in_vain = replace(report, settings={"tried_models": ("k_neighbours",)})
     assert "of k_neighbours, tried in this order, none is." in repr(headline(in_vain))
+
+
+@pytest.mark.usefixtures("useless_default")
+def test_a_family_worse_than_no_change_and_a_linear_model_is_reported_after_its_fit(tmp_path, capsys):
+    report = compare(many_episodes(), out=tmp_path / "compared", stop_after="prediction", held_out=0.5)
+    far, linear = (report.prediction.model(name) for name in (FAR, "linear"))
+    assert far.warning.startswith("far is worse than both no change (persistence) and a linear model on held-out data")
+    assert not linear.warning
+    assert f"{far.warning}. Forecasts leave it out." in (tmp_path / "compared/report.html").read_text()
+    direct = assess_prediction(
+        {FAR: Far().fit(many_episodes(), rng=np.random.default_rng(0))}, many_episodes(), many_episodes()
+    )
+    assert direct.model(FAR).warning
+    experiment = Experiment.of({"stop_after": "fit", "models": (FAR, "linear")})
+    comparison, _ = plan_run(experiment, tmp_path / "fitted", many_episodes())
+    store = Store(tmp_path / "fitted")
+    execute(comparison.plan, store)
+    print_held_out_scores(comparison, store)
+    shown = " ".join(capsys.readouterr().err.split())
+    assert "far is worse than both no change" in shown
+    assert "linear is worse" not in shown
 
 
 @pytest.mark.usefixtures("useless_default")

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+USELESS = "worse than both no change and a linear model"
+
+
 def section(report: ComparisonResults) -> Section | None:
     """Return a folded card for each model, then step and frequency responses of all; None without models."""
     if not report.models:
@@ -33,11 +36,13 @@ def _line(model: ModelSummary, report: ComparisonResults) -> str:
     """Return name, error, trust and knowledge of a model in one line."""
     prediction, parts = report.prediction, []
     if prediction is not None and model.name in prediction.names:
-        score = prediction.model(model.name).score(prediction.cases.main_horizon)
+        found = prediction.model(model.name)
+        score = found.score(prediction.cases.main_horizon)
         parts += [] if score is None else [f"N {three_digits(score.n)}"]
-    for found in report.exploitability:
-        if found.model == model.name:
-            trusted, reasons = trust_of(found, report)
+        parts += [USELESS] if found.warning else []
+    for claims in report.exploitability:
+        if claims.model == model.name:
+            trusted, reasons = trust_of(claims, report)
             parts.append(
                 {True: "trusted", False: f"not trusted ({'; '.join(reasons)})", None: "trust not known"}[trusted]
             )

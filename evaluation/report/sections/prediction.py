@@ -453,7 +453,10 @@ class CoveragePart(Part):
 
 
 class ModelPredictionPart(Part):
-    """Prediction errors of one model; ``reason`` is why there are none. ``curve`` is N after every step."""
+    """Prediction errors of one model; ``reason`` is why there are none. ``curve`` is N after every step.
+
+    ``warning`` is a sentence if the model is worse than persistence and a linear model, else empty.
+    """
 
     name: str
     family: str
@@ -465,6 +468,7 @@ class ModelPredictionPart(Part):
     divergence: Divergence | None
     coverage: tuple[CoveragePart, ...]
     notes: tuple[str, ...]
+    warning: str
 
     @classmethod
     def of(cls, model: ModelPrediction, prediction: Prediction) -> ModelPredictionPart:

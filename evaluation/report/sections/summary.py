@@ -45,13 +45,13 @@ def facts(report: ComparisonResults) -> str:
 
 
 def warnings(report: ComparisonResults) -> list[str]:
-    """Return sentences on a reward that is badly known, and on steps that failed or are missing."""
-    failures, badly_known = report.all_failures, [report.task_warning] if report.task_warning else []
+    """Return sentences on a badly known reward, models that fail the sanity check, and steps that failed or miss."""
+    failures, found = report.all_failures, [*filter(None, [report.task_warning]), *report.model_warnings]
     if not failures:
-        return badly_known
+        return found
     first = failures[0]
     reason = first.reason.splitlines()[0] if first.reason else "failed"
-    return [*badly_known, f"{_failed(report)}; all reasons are under This run. The first: {first.step}: {reason}"]
+    return [*found, f"{_failed(report)}; all reasons are under This run. The first: {first.step}: {reason}"]
 
 
 def _failed(report: ComparisonResults) -> str:
@@ -85,6 +85,8 @@ def verdict(report: ComparisonResults) -> tuple[Answer, ...]:
         findings.append(Answer("What is not known?", "", unknown))
     if report.task_warning:
         findings.insert(0, Answer("Is the reward known?", "", (report.task_warning,), "warn"))
+    if report.model_warnings:
+        findings.append(Answer("Which models are left out?", "", report.model_warnings, "warn"))
     if report.advice is not None and report.advice.remarks:
         remarks = tuple(remark.sentence for remark in report.advice.remarks[:SAID])
         findings.append(Answer(limits_question(report.advice), "", remarks))

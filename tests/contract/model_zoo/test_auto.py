@@ -157,6 +157,29 @@ def test_candidates_far_worse_than_the_best_or_diverging_are_dropped_with_the_re
     assert "all other candidates were dropped after the first fold" in model.fit_note
 
 
+class Far(Linear):
+    """Predicts the same state always, 1.5 standard deviations from the mean."""
+
+    def fit(self, dataset, **settings):
+        fitted = super().fit(dataset, **settings)
+        states = np.concatenate([episode.states for episode in dataset])
+        fitted.coefficients_ = 0.0 * fitted.coefficients_
+        fitted.intercept_ = states.mean(axis=0) + 1.5 * states.std(axis=0)
+        return fitted
+
+
+def test_a_candidate_worse_than_no_change_and_a_linear_model_is_dropped_unless_all_are(register):
+    """However wide the cutoff is; where all are, the best of them stay."""
+    register(models, "far", Far)
+    register(models, "farther", type("Farther", (Far,), {"__doc__": "The same again."}))
+    model = make_model("auto", candidates=[FEW[1], "far"], cutoff=1e6, folds=2).fit(DATA, rng=0)
+    rows = {row["candidate"]: row for row in model.candidate_ranking()}
+    assert rows["far"]["remark"].startswith("is worse than both no change (persistence) and a linear model")
+    assert (rows[FEW[1]]["weight"], rows["far"]["weight"]) == ("1.00", "")
+    alone = make_model("auto", candidates=["far", "farther"], cutoff=1e6, folds=2).fit(DATA, rng=0)
+    assert [row["weight"] for row in alone.candidate_ranking()] == ["0.50", "0.50"]
+
+
 def test_a_candidate_far_behind_in_the_first_fold_is_fitted_once_and_otherwise_in_every_fold():
     """With a wide cutoff the same candidate is judged in all folds."""
     for cutoff, remark in ((1.25, "5.2 x the lowest error in the first of 3 folds"), (5.0, "above")):

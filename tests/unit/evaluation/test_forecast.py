@@ -10,6 +10,7 @@ from evaluation.cells.data import GivenData, HoldOut
 from evaluation.cells.models import Predict
 from evaluation.cells.plants import Plant, accurate_plants
 from evaluation.prediction import ErrorScore, ModelPrediction
+from evaluation.prediction.scores import forecast_error
 from evaluation.transfer import Cell, Estimate, TransferMatrix
 from evaluation.transfer.forecast import (
     FORECAST_RULE,
@@ -26,7 +27,7 @@ from evaluation.transfer.summary import summary_of
 from sysid_evo.plan import CellContext
 from sysid_evo.testing import example_dataset
 from sysid_evo.validation.estimates import Draws
-from tests.fixtures.reports import evolved, matrix
+from tests.fixtures.reports import evolved, matrix, prediction, report
 
 INF, NAN = float("inf"), float("nan")
 
@@ -99,6 +100,27 @@ def test_nothing_that_was_measured_on_a_robot_enters():
 def test_what_was_evolved_on_the_robot_itself_has_no_forecast():
     rows = {"good": {"good": 9.0, "fair": 8.0, "car": 5.0}, "car": {"good": 5.0, "fair": 5.0, "car": 12.0}}
     assert set(forecasts(matrix(rows, robot="car"), ERRORS)) == {"good"}
+
+
+def test_a_model_that_fails_the_sanity_check_has_no_weight_and_does_not_move_the_median():
+    failed = ModelPrediction("poor", "poor", (score(20, 0.1),), warning="poor is worse than no change")
+    assert forecast_error(failed) == INF
+    assert forecast_error(replace(failed, warning="")) == pytest.approx(0.1)
+    assert forecast_error(None) is None
+    errors = {**ERRORS, "poor": forecast_error(failed)}
+    rows = {name: {"good": 9.0, "poor": 8.5, "fair": 8.0} for name in ("good", "poor")}
+    found, without = forecasts(matrix(rows), errors)["good"], {**rows["good"]}
+    del without["poor"]
+    alone = forecasts(matrix({"good": without}), ERRORS)["good"]
+    assert found.weights["poor"] == 0.0
+    assert (found.value, found.low, found.high) == (alone.value, alone.low, alone.high)
+    assert forecasts(matrix(rows), {**errors, "fair": INF}) == {}  # one model alone
+    none_left = forecasts(matrix(rows), dict.fromkeys(errors, INF))["good"]
+    assert set(none_left.weights.values()) == {1 / 3}
+    predicted = prediction({name: 0.1 for name in ERRORS})
+    models = tuple(replace(one, warning="poor" if one.name == "poor" else "") for one in predicted.models)
+    reported = report(replace(predicted, models=models), matrix(rows))
+    assert reported.forecasts["good"].weights == pytest.approx({"good": 1 / 3, "poor": 0.0, "fair": 2 / 3})
 
 
 def test_one_model_alone_is_too_few():
@@ -272,7 +294,8 @@ def names(*columns):
         label = cell.settings.label
         errors = measured[label]
         scores = tuple(score(*one) for one in (errors or {}).items())
-        return None if errors is None else ModelPrediction(label, cell.settings.family, scores)
+        warning = "worse than no change" if label.startswith("useless") else ""
+        return None if errors is None else ModelPrediction(label, cell.settings.family, scores, warning=warning)
 
     work = CellContext(prediction_of, lambda done, total, note="": None, Path("unused"), Path("unused"), nowhere)
     return tuple(one.label for one in accurate_plants(plants, work))
@@ -297,6 +320,9 @@ UNMEASURED = [Plant("car", "car"), ("failed", "failed", None)]
         ([("a", "a", {1: 0.9, 10: 0.1}), ("b", "b", {1: 0.1, 10: 0.1}), ("c", "c", {10: 0.9})], ("a", "b")),
         # the best of two families, so that one can judge the other
         ([("a", "x", {20: 0.1}), ("b", "x", {20: 0.12}), ("c", "y", {20: 0.4}), ("d", "z", {20: 0.5})], tuple("abc")),
+        # one that fails the sanity check only where all do
+        ([("a", "x", {20: 0.1}), ("useless", "y", {20: 0.1})], ("a",)),
+        ([("useless 1", "x", {20: 0.1}), ("useless 2", "y", {20: 0.4})], ("useless 1", "useless 2")),
         (UNMEASURED, ("car", "failed")),
         ([*UNMEASURED, *((n, n, {20: e}) for n, e in zip("abc", (1, 2, 3), strict=True))], ("car", "failed", "a", "b")),
         ([*UNMEASURED, ("a", "a", {20: 0.1}), ("b", "b", {20: 0.2})], ("car", "failed", "a", "b")),

@@ -7,7 +7,9 @@ import pytest
 
 from evaluation.exploitability.results import UnderratedController
 from evaluation.prediction import PredictionProtocol, measured_cases
-from evaluation.report import Failure, is_empty, verdict
+from evaluation.report import Failure, ModelSummary, is_empty, verdict
+from evaluation.report.sections import models as models_section
+from evaluation.report.sections.prediction import PredictionPart
 from evaluation.report.sections.summary import facts, headlines, page_title, warnings
 from evaluation.transfer import Estimate
 from sysid_evo.data import Dataset
@@ -388,6 +390,21 @@ def test_failed_steps_are_counted_above_the_answers_with_the_first_reason():
     made = replace(report(failures=2), timings={"fit": 1.0, "predict": 1.0, "run": 0.1})
     (line,) = warnings(made)
     assert line == "2 of 3 steps failed; all reasons are under This run. The first: part 0: no such package"
+
+
+def test_a_model_that_fails_the_sanity_check_is_named_on_the_page_in_the_terminal_and_on_its_card():
+    made = predicted(linear=0.3, sindy=0.6)
+    assert warnings(made) == []
+    rows = [replace(one, warning="sindy is worse") if one.name == "sindy" else one for one in made.prediction.models]
+    cards = tuple(ModelSummary(name, name, "black", {}) for name in ("linear", "sindy"))
+    failing = replace(made, prediction=replace(made.prediction, models=tuple(rows)), models=cards)
+    assert warnings(failing) == ["sindy is worse. Forecasts leave it out."]
+    assert "sindy is worse. Forecasts leave it out." in told(failing)
+    fine, useless = models_section.section(failing).items[:2]
+    assert fine.title == "linear: N 0.300, black box"
+    assert useless.title == "sindy: N 0.600, worse than both no change and a linear model, black box"
+    found = {one.name: one.warning for one in PredictionPart.of(failing.prediction, {}).models}
+    assert found == {"persistence": "", "linear": "", "sindy": "sindy is worse"}
 
 
 def test_answers_that_are_not_known_come_last():
