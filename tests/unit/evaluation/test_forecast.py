@@ -117,7 +117,7 @@ def test_a_model_that_fails_the_sanity_check_has_no_weight_and_does_not_move_the
     assert forecasts(matrix(rows), {**errors, "fair": INF}) == {}  # one model alone
     none_left = forecasts(matrix(rows), dict.fromkeys(errors, INF))["good"]
     assert set(none_left.weights.values()) == {1 / 3}
-    predicted = prediction({name: 0.1 for name in ERRORS})
+    predicted = prediction(dict.fromkeys(ERRORS, 0.1))
     models = tuple(replace(one, warning="poor" if one.name == "poor" else "") for one in predicted.models)
     reported = report(replace(predicted, models=models), matrix(rows))
     assert reported.forecasts["good"].weights == pytest.approx({"good": 1 / 3, "poor": 0.0, "fair": 2 / 3})
