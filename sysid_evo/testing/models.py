@@ -275,7 +275,7 @@ def _example(adapter: Adapter) -> Any:
 
 
 def it_recognises_its_example(adapter: Adapter) -> None:
-    """It recognises the object that the expression ``example`` makes"""
+    """It recognises the object that its example makes"""
     expect(adapter.recognises(_example(adapter)) is True, f"it does not recognise {adapter.example}")
 
 
