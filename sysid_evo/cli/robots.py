@@ -150,7 +150,10 @@ def reward_sentences(task: str, dataset: sysid_evo.Dataset) -> tuple[str, ...]:
     mean = sum(returns) / len(returns)
     known = f"Return of the {len(returns):,} episodes: mean {mean:.4g}, best {max(returns):.4g}."
     goal = sysid_evo.make_task(task)
-    return (known, *(goal.learn(dataset).sentences if goal.needs_recording else ()))
+    if not goal.needs_recording:
+        return (known,)
+    learned = goal.learn(dataset)
+    return (known, *learned.sentences, *filter(None, [learned.warning]))
 
 
 DEFAULT_ROBOT = "emulated_car"

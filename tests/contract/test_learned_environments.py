@@ -14,6 +14,7 @@ from hardware.robot import find_robot
 from hardware.simulators.gymnasium_robot import GymnasiumRobot
 from hardware.simulators.gymnasium_state import AttributeState, MethodState, MujocoState
 from hardware.simulators.gymnasium_task import EnvironmentTask
+from sysid_evo.cli.robots import reward_sentences
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.errors import IncompatibleTask
@@ -236,6 +237,17 @@ def test_a_badly_known_reward_is_in_the_first_lines_of_the_report(tmp_path):
     assert report.task_warning in " ".join(str(report).split())
     page = (tmp_path / "report.html").read_text()
     assert page.index("The learned reward is badly known") < page.index("<section")
+
+
+def test_a_recording_reports_that_its_reward_is_badly_known():
+    import gymnasium
+
+    if "Lucky-v0" not in gymnasium.registry:
+        gymnasium.register("Lucky-v0", entry_point=Lucky, max_episode_steps=40)
+    robot = robot_of("Lucky-v0")
+    sentences = reward_sentences(robot.default_task, robot.record(seed=1, duration=120.0).dataset)
+    assert sentences[0].startswith("Return of the")
+    assert sentences[-1].startswith("The learned reward is badly known: held-out error")
 
 
 def test_a_badly_known_reward_is_asked_of_an_environment_that_can_be_put_into_a_state(tmp_path):
