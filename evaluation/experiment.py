@@ -140,7 +140,7 @@ class Experiment(BaseModel):
     trials: Positive | None = setting(None, "Trials per candidate and generation", "Budget", "N")
     repeats: Positive | None = setting(None, "Independent evolutions; the best one is kept", "Budget", "N")
     search_minutes: float = setting(
-        10.0, "Minutes of one processor for each search in a model without compiled form, which limit its generations",
+        10.0, "Minutes of one processor for each search in a model with slow steps, which limit its generations",
         "Budget", "N", gt=0.0,
     )  # fmt: skip
     polish_generations: Positive | None = setting(
@@ -158,7 +158,7 @@ class Experiment(BaseModel):
     seed: int = setting(0, "Seed of all random numbers", "Run", "N", ge=0)
     plugins: tuple[str, ...] = setting((), "Python file with plugins; repeatable", "Run", "FILE", option="--plugin")
     tried_models: tuple[str, ...] = setting((), "Written by the program: families tried because no other predicted")
-    step_seconds: dict[str, float] = setting({}, "Written by the program: seconds of a step of models not compiled")
+    step_seconds: dict[str, float] = setting({}, "Written by the program: seconds of a step of slow models")
     data_digest: str | None = setting(None, "Written by the program: identifies the data of a run")
 
     @classmethod

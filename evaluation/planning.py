@@ -213,7 +213,7 @@ def plan_comparison(
 def _slow(
     experiment: Experiment, specs: tuple[Spec, ...], system: System, dataset: Dataset | None, known: bool
 ) -> dict[str, float]:
-    """Return the seconds of a step of models that are not compiled; of a run that exists, those found when it began."""
+    """Return the seconds of a step of slow models; of a run that exists, those found when it began."""
     if known or experiment.stop_after is not None:
         return dict(experiment.step_seconds)
     steps = round(60.0 * experiment.minutes / system.dt) if dataset is None else dataset.n_steps

@@ -414,8 +414,8 @@ def with_starts(experiment: Experiment, system: System, robot: Spec | None = Non
 def evolution_on(experiment: Experiment, members: tuple[Plant, ...]) -> ControllerEvolution:
     """Return the settings of evolution on ``members``; with robots among them noise is used only if it is asked for.
 
-    Aggregates that are equivalent on a single model are replaced by one of them there. Searches in models that are not
-    compiled have fewer generations (`limited`).
+    Aggregates that are equivalent on a single model are replaced by one of them there. Searches in slow
+    models have fewer generations (`limited`).
     """
     evolution = evolution_settings(limited(experiment, members))
     if len(members) == 1 and Spec.parse(evolution.aggregate).name in EQUIVALENT_AGGREGATES:

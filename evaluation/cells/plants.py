@@ -34,8 +34,8 @@ class Plant:
     """A column of the transfer matrix: the model of the cell ``model``, or the ``robot``.
 
     ``family`` is the registered name of a model's family; a robot is its own family. ``prediction`` is the cell of
-    the model's prediction error, where there is one. ``slow`` are the seconds of one step of one trial of a model that
-    is not compiled, 0 for others.
+    the model's prediction error, where there is one. ``slow`` are the seconds of one step of one trial of a model
+    whose step takes long, 0 for others.
     """
 
     label: str

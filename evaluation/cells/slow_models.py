@@ -1,14 +1,15 @@
-"""Models without a compiled form: a plan times a step of each, and searches in them have fewer generations.
+"""Models whose step takes long: a plan times a step of each, and searches in them have fewer generations.
 
-A family states that its models may have none by the class attribute ``timing_parameters``: hyper-parameters of a fit
-that is short, used for the timing. Families that define neither `predictor` nor `kernel` are timed, too.
+A family states that its models may have no compiled form, or a long one, by the class attribute ``timing_parameters``:
+hyper-parameters of a fit that is short, used for the timing. Families that define neither `predictor` nor `kernel` are
+timed, too.
 """
 
 from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -19,6 +20,7 @@ from evaluation.cells.plants import STEPS, Plant
 from evaluation.experiment import Experiment
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.data.dataset import subsample
+from sysid_evo.engine.compiled.open_loop import free_runs
 from sysid_evo.models import DynamicsModel
 from sysid_evo.models.dynamics import started
 from sysid_evo.processors import resolve
@@ -26,12 +28,17 @@ from sysid_evo.registry import Spec, models
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
 
-SAMPLES = (250, 500)
-"""Numbers of steps to which a model is fitted for a timing, to see whether a step takes longer with more data."""
+SAMPLES = (250, 1000)
+"""Numbers of steps to which a model is fitted for a timing, to see whether a step takes longer with more data.
+
+That time is extrapolated if it is not compiled. Trees grow slowly; a compiled one is timed with the larger number.
+"""
 GROWS = 1.4
 """Ratio of both times above which the time of a step is taken to grow with the data."""
-ROLLOUTS = 500
-"""Number of rollouts that are stepped together, about those of a generation."""
+ROLLOUTS, STEPS_TIMED = 512, 25
+"""Number of rollouts that are stepped together, about those of a generation, and of steps that are compiled."""
+QUICK = 2e-7
+"""Seconds of a step up to which a compiled model is as quick as the others."""
 IN_NUMPY = 1e-6
 """Approximate seconds of a step of controller and task, which run in NumPy with such a model."""
 CANDIDATES = 100
@@ -41,7 +48,7 @@ FEWEST = 10
 
 
 def may_be_slow(family: Any) -> bool:
-    """Return whether models of ``family`` may have no compiled form."""
+    """Return whether models of ``family`` may have no compiled form, or a long one."""
     own = family.predictor is not DynamicsModel.predictor or family.kernel is not DynamicsModel.kernel
     return getattr(family, "timing_parameters", None) is not None or not own
 
@@ -49,7 +56,7 @@ def may_be_slow(family: Any) -> bool:
 def times_of_steps(
     specs: Collection[Spec], system: System, dataset: Dataset | None, steps: int, known: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return the seconds of a step of one rollout, by spec, of models that are not compiled.
+    """Return the seconds of a step of one rollout, by spec, of models whose step takes long.
 
     They are fitted to a few samples of ``dataset``, or to random numbers without one; ``steps`` is the number that they
     will be fitted to. ``known`` times are used again, so that a run is planned twice in the same way.
@@ -77,8 +84,8 @@ class _Sample:
 
 @lru_cache(maxsize=64)
 def _timed(family: Any, text: str, sample: _Sample, steps: int) -> float:
-    """Return the seconds, with two digits; 0 for a compiled model and for one that cannot be fitted here."""
-    times = []
+    """Return the seconds, with two digits; 0 for a quick model and for one that cannot be fitted here."""
+    times, compiled = list[float](), False
     for data in sample.parts:
         try:
             with warnings.catch_warnings():
@@ -86,26 +93,48 @@ def _timed(family: Any, text: str, sample: _Sample, steps: int) -> float:
                 model: DynamicsModel = models.make(Spec.parse(text))
                 model.set_params(**(getattr(family, "timing_parameters", None) or {}))
                 model.fit(data, rng=np.random.default_rng(0))
-            times.append(0.0 if model.kernel() is not None else _seconds(model))
+            times.append(_seconds(model))
+            compiled = model.kernel() is not None
         except Exception:  # the cell of the fit reports the reason
             return 0.0
     few, more = times
     counts = [data.n_steps for data in sample.parts]
-    growth = (more - few) / (counts[1] - counts[0]) if more > GROWS * few and counts[1] > counts[0] else 0.0
-    return float(f"{more + growth * max(0, steps - counts[1]) + IN_NUMPY:.2g}") if more else 0.0
+    grows = not compiled and more > GROWS * few and counts[1] > counts[0]
+    growth = (more - few) / (counts[1] - counts[0]) if grows else 0.0
+    found = more + growth * max(0, steps - counts[1])
+    return float(f"{found:.2g}") if found > QUICK else 0.0
 
 
 def _seconds(model: DynamicsModel) -> float:
-    """Return the shortest of three times of a step, divided by the number of rollouts."""
-    carry = started(model, np.resize(model.training_sample_[:, : model.system.nx], (ROLLOUTS, model.system.nx)))
+    """Return the processor time of a step of one rollout in s; 0 for a compiled model with noise."""
+    kernel, nx = model.kernel(), model.system.nx
+    carry = started(model, np.resize(model.training_sample_[:, :nx], (ROLLOUTS, nx)))
     control = np.tile(model.system.neutral_control, (ROLLOUTS, 1))
-    noise = np.zeros((ROLLOUTS, model.n_noise)) if model.n_noise else None
+    if kernel is None:
+        noise = np.zeros((ROLLOUTS, model.n_noise)) if model.n_noise else None
+        return _shortest(lambda: model.step(carry, control, noise)) / ROLLOUTS + IN_NUMPY
+    if model.n_noise:
+        return 0.0
+
+    def run(steps: int) -> float:
+        controls, learned = np.repeat(control[:, None], steps, axis=1), kernel.parameters[None]
+        bounds, precision = model.state_bounds_, kernel.precision
+        return _shortest(
+            lambda: free_runs(
+                kernel.source, kernel.n_scratch, learned, carry[None], controls, bounds, precision=precision
+            )
+        )
+
+    return (run(1 + STEPS_TIMED) - run(1)) / (ROLLOUTS * STEPS_TIMED)
+
+
+def _shortest(call: Callable[[], object]) -> float:
     times = []
     for _ in range(3):
-        began = time.perf_counter()
-        model.step(carry, control, noise)
-        times.append(time.perf_counter() - began)
-    return min(times) / ROLLOUTS
+        began = time.process_time()
+        call()
+        times.append(time.process_time() - began)
+    return min(times)
 
 
 def random_steps(system: System, count: int) -> Dataset:
@@ -143,7 +172,7 @@ def slow_remarks(experiment: Experiment, members: Collection[Plant]) -> list[str
             minutes = fewer.repeats * fewer.generations * fewer.trials * CANDIDATES * STEPS * member.slow / 60.0
             found.append(
                 f"{member.label}: {fewer.generations} of {experiment.budget.generations} generations, about "
-                f"{minutes:.2g} min for a search, because it has no compiled form and a step takes "
-                f"{1e6 * member.slow:.2g} µs. search_minutes sets that time"
+                f"{minutes:.2g} min for a search on one processor, because a step takes {1e6 * member.slow:.2g} µs. "
+                "search_minutes sets that time"
             )
     return found

@@ -45,16 +45,17 @@ def fitness_picture(matrix: TransferMatrix) -> FigureElement | None:
 
 
 def fewer_generations(matrix: TransferMatrix, settings: Mapping[str, Any]) -> list[str]:
-    """Return a sentence for each controller whose search was shorter, because a model in it is not compiled."""
-    slow = {Spec.parse(text).label for text in settings.get("step_seconds", ())}
+    """Return a sentence for each controller whose search was shorter, because a step of a model in it takes long."""
+    times = settings.get("step_seconds", {})
+    slow = {(one := Spec.parse(text)).label: f"{one.label} {1e6 * times[text]:.2g} µs" for text in times}
     found = []
     for champion in matrix.champions:
         planned = settings.get("polish_generations" if champion.polished else "generations", 0)
-        models = ", ".join(sorted(slow & set(champion.against)))
+        models = ", ".join(slow[label] for label in champion.against if label in slow)
         if models and 0 < len(champion.history) < planned:
             found.append(
-                f"{champion.name}: {len(champion.history)} of {planned} generations, because {models} has no compiled "
-                "form. search_minutes sets the time of its searches."
+                f"{champion.name}: {len(champion.history)} of {planned} generations, because a step takes long in "
+                f"{models}. search_minutes sets the time of a search."
             )
     return found
 
