@@ -281,7 +281,9 @@ def tune(
     return found
 
 
-NOT_SEARCHED = frozenset({"stochastic", "dead_band", "max_steps", "folds", "lag_search", "state_lags", "control_lags"})
+NOT_SEARCHED = frozenset(
+    {"fitted", "stochastic", "dead_band", "max_steps", "folds", "lag_search", "state_lags", "control_lags"}
+)
 """Parameters that hardly affect the error, or that have their own ranges."""
 LAGS = {"state_lags": Within(0, 2), "control_lags": Within(0, 6)}
 FACTOR = 8.0
