@@ -229,7 +229,6 @@ class SpacePath(SpaceTask):
     """
 
     fitness_unit = "% of full score"
-    default_noise = "domain_randomisation(process=0.02)"
 
     def __init__(self, *, tolerance: float, horizon: int) -> None:
         super().__init__(horizon=horizon)

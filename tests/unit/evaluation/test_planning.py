@@ -248,6 +248,7 @@ def test_a_body_in_space_is_searched_from_several_starts_unless_one_is_asked_for
     planned = plan_comparison(Experiment(models=("linear",), task="hover", **settings), dataset=recorded)
     evolution = planned.matrix.controllers[0].settings.evolution
     assert [start.controller.name for start in evolution.all_starts] == starts
+    assert evolution.noise == "", "a body that noise turns over is searched for what survives it, not for what hovers"
     again = plan_comparison(Experiment.of(planned.experiment.model_dump()), dataset=recorded)
     assert again.plan.cells == planned.plan.cells
 
