@@ -62,6 +62,8 @@ MODELS: Mapping[str, str | Callable[[], Any]] = {
 }
 """Packages, the usual regressors of scikit-learn with their own defaults, and three families of this project."""
 
+HORIZONS = (1, 10, 20, 60, None)
+"""Steps of a simulation; None for whole episodes."""
 CANDIDATES, TRIALS = 10, 10
 
 
@@ -82,11 +84,9 @@ def compared(system: str, seed: int, models: Sequence[str], folder: Path, settin
 
 def row_of(label: str, report: ComparisonResults, model: DynamicsModel | None) -> tuple[str, list[float], str]:
     """Return what a comparison found for one model, which is None if it could not be fitted."""
-    errors = [np.nan] * 5
-    if report.prediction is not None:
-        found = next((one for one in report.prediction.models if one.name == label), None)
-        scores = [None if found is None else found.score(horizon) for horizon in report.prediction.horizons]
-        errors = [np.nan if score is None else score.n for score in [None] * (5 - len(scores)) + scores]
+    scored = None if report.prediction is None else next(m for m in report.prediction.models if m.name == label)
+    scores = [None if scored is None else scored.score(horizon) for horizon in HORIZONS]
+    errors = [np.nan if score is None else score.n for score in scores]
     seconds = report.timings.get(f"fit {label}", np.nan)
     achieved, kept, verdict = np.nan, np.nan, "no controller"
     for one in () if report.transfer is None else report.transfer.controllers:
