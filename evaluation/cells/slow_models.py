@@ -19,7 +19,6 @@ import numpy as np
 from evaluation.cells.plants import STEPS, Plant
 from evaluation.experiment import Experiment
 from sysid_evo.data import Dataset, Trajectory
-from sysid_evo.data.dataset import subsample
 from sysid_evo.engine.compiled.open_loop import free_runs
 from sysid_evo.models import DynamicsModel
 from sysid_evo.models.dynamics import started
@@ -58,8 +57,9 @@ def times_of_steps(
 ) -> dict[str, float]:
     """Return the seconds of a step of one rollout, by spec, of models whose step takes long.
 
-    They are fitted to a few samples of ``dataset``, or to random numbers without one; ``steps`` is the number that they
-    will be fitted to. ``known`` times are used again, so that a run is planned twice in the same way.
+    They are fitted to the first steps of the longest episode of ``dataset``, or to random numbers without one; ``steps``
+    is the number that they will be fitted to. ``known`` times are used again, so that a run is planned twice in the
+    same way.
     """
     if resolve() == "reference":
         return {}
@@ -67,7 +67,8 @@ def times_of_steps(
     unknown = [spec for spec in specs if str(spec) not in times and may_be_slow(models.get(spec.name))]
     if unknown:
         data = random_steps(system, SAMPLES[-1]) if dataset is None else dataset
-        parts = tuple(subsample(data, count, np.random.default_rng(0)) for count in SAMPLES)
+        longest = max(data.episodes, key=len)
+        parts = tuple(data.with_episodes([longest[:count]]) for count in SAMPLES)
         for spec in unknown:
             most = min(steps, spec.parameters.get("max_steps") or steps)
             times[str(spec)] = _timed(models.get(spec.name), str(spec), _Sample(data.fingerprint, parts), most)
