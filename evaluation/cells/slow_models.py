@@ -57,9 +57,8 @@ def times_of_steps(
 ) -> dict[str, float]:
     """Return the seconds of a step of one rollout, by spec, of models whose step takes long.
 
-    They are fitted to the first steps of the longest episode of ``dataset``, or to random numbers without one; ``steps``
-    is the number that they will be fitted to. ``known`` times are used again, so that a run is planned twice in the
-    same way.
+    They are fitted to the first steps of the longest episode of ``dataset``, or to random numbers without one, and will
+    be fitted to ``steps``. ``known`` times are used again, so that a run is planned twice in the same way.
     """
     if resolve() == "reference":
         return {}
