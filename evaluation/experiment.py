@@ -122,10 +122,7 @@ class Experiment(BaseModel):
     estimator_delay: Seconds = setting(
         0.0, "State-estimate latency, such as 50ms, simulated in evolution and scoring", "Robustness", "TIME", ge=0.0
     )
-    rounds: Positive | None = setting(
-        None, "Rounds of recording under the evolved controller and evolving on", "Budget", "N",
-        shown="1; more if trials end early or the reward is learned",
-    )  # fmt: skip
+    rounds: Positive | None = setting(None, "Rounds of recording and evolving", "Budget", "N", shown="as needed")
     command_noise: float = setting(
         0.2, "Noise on the commands while a round is recorded, as a share of half their range", ge=0.0, lt=1.0
     )
@@ -139,10 +136,7 @@ class Experiment(BaseModel):
     generations: Positive | None = setting(None, "Generations of each evolution", "Budget", "N")
     trials: Positive | None = setting(None, "Trials per candidate and generation", "Budget", "N")
     repeats: Positive | None = setting(None, "Independent evolutions; the best one is kept", "Budget", "N")
-    search_minutes: float = setting(
-        10.0, "Minutes of one processor for each search in a model with slow steps, which limit its generations",
-        "Budget", "N", gt=0.0,
-    )  # fmt: skip
+    search_minutes: float = setting(10.0, "Minutes of each search in a slow model", "Budget", "N", gt=0.0)
     polish_generations: Positive | None = setting(
         None, "Generations of the evolution on all models that ends the search"
     )
@@ -153,7 +147,7 @@ class Experiment(BaseModel):
     )
     traces: int = setting(10, "Trials whose trajectories are stored for the plots", ge=0)
     stop_after: Literal["fit", "prediction"] | None = setting(
-        None, "fit or prediction (no controllers are evolved)", "Budget", "NAME"
+        None, "fit or prediction: no controllers are evolved", "Budget", "NAME"
     )
     seed: int = setting(0, "Seed of all random numbers", "Run", "N", ge=0)
     plugins: tuple[str, ...] = setting((), "Python file with plugins; repeatable", "Run", "FILE", option="--plugin")
