@@ -33,10 +33,10 @@ COLUMNS = (
     "task",
     "recommended",
     "from models",
-    "from the simulator",
+    "from simulator",
     "share",
     "wall, s",
-    "and of the search, s",
+    "search, s",
 )
 WORDS = 3
 
