@@ -104,7 +104,9 @@ class ComparisonResults(Displayed):
     def model_warnings(self) -> tuple[str, ...]:
         """Sentences on models that fail the `SanityCheck`; forecasts leave them out."""
         models = () if self.prediction is None else self.prediction.models
-        return tuple(f"{model.warning}. Forecasts leave it out." for model in models if model.warning)
+        return tuple(
+            f"{model.warning}. Forecasts leave it out if two others remain." for model in models if model.warning
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-import numpy as np
-
 from evaluation.prediction.scores import forecast_error
 from sysid_evo.engine import DynamicsRunner, Runner
 from sysid_evo.engine.rollout import SteppedRunner
@@ -156,7 +154,8 @@ def accurate_plants(columns: Sequence[Plant], work: CellContext) -> tuple[Plant,
 
     A model that lacks a lag or a force of the robot is no evidence on fast controllers, and several such models agree
     with each other: their median would overrate controllers that exploit this. Robots, models of unknown error and
-    the best models of two families are always included; models that fail the `SanityCheck` only if all do.
+    the best models of two families are always included; models that fail the `SanityCheck` only if fewer than two
+    families pass.
     """
     errors = {column.label: error for column in columns if (error := prediction_error(column, work)) is not None}
     if not errors:
@@ -165,8 +164,8 @@ def accurate_plants(columns: Sequence[Plant], work: CellContext) -> tuple[Plant,
     for column in columns:
         if column.label in errors:
             families[column.registered] = min(families.get(column.registered, float("inf")), errors[column.label])
-    best = sorted(families.values())[:FAMILIES]
-    limit = max([ACCURATE * best[0], *(error for error in best if np.isfinite(error))])
+    enough = sorted(families.values())[:FAMILIES][-1]
+    limit = max(enough, ACCURATE * min(errors.values()))
     return tuple(column for column in columns if errors.get(column.label, 0.0) <= limit)
 
 

@@ -28,7 +28,7 @@ class ModelPrediction:
     them; ``free_states`` are the predicted states (T, nx) of each simulated episode. ``regions`` are those of the near
     horizon, the largest error first. ``coverage`` is that of prediction intervals at every horizon, for a model that
     has them. Errors are those of the simulation without noise. ``warning`` is a sentence if the model fails the
-    `SanityCheck`; the forecast leaves it out.
+    `SanityCheck`; the forecast leaves it out if two others remain.
     """
 
     name: str
@@ -241,5 +241,5 @@ def error_of(found: ModelPrediction | None) -> float | None:
 
 
 def forecast_error(found: ModelPrediction | None) -> float | None:
-    """Return `error_of` a model, infinite if it fails the `SanityCheck`: then it has no weight in forecasts."""
+    """Return `error_of` a model, infinite if it fails the `SanityCheck`: then forecasts leave it out."""
     return float("inf") if found is not None and found.warning else error_of(found)

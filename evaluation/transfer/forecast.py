@@ -79,7 +79,7 @@ def forecasts(
     *,
     rule: ForecastRule = FORECAST_RULE,
 ) -> dict[str, Forecast]:
-    """Return the forecast of every controller that ran in two models or more that have weight, by its name.
+    """Return the forecast of every controller that ran in two models or more, by its name.
 
     ``errors`` are the prediction errors of the models by their columns, see `error_of`; ``outside`` the shares of the
     time outside the data of each controller in each model, by model and controller. Controllers evolved on a robot and
@@ -108,12 +108,10 @@ def _of_champion(
     resting = [matrix.cell(name, cell.column) for name in matrix.at_rest[:1] for cell in cells]
     rest = [0.0 if cell.failed else cell.mean for cell in resting] or [0.0] * len(cells)
     shares = [outside.get(cell.column, {}).get(champion.name) for cell in cells]
-    weights = model_weights([errors.get(cell.column) for cell in cells], own, rule=rule)
-    if np.count_nonzero(weights) < 2:
-        return None
+    known = _two_left([errors.get(cell.column) for cell in cells])
+    weights = model_weights(known, own, rule=rule)
     value, low, high = _joined(
-        means, [cell.fitness for cell in cells], weights, [errors.get(cell.column) for cell in cells], shares,
-        np.array(rest), rule,
+        means, [cell.fitness for cell in cells], weights, known, shares, np.array(rest), rule,
     )  # fmt: skip
     columns = (cell.column for cell in cells)
     share = None if all(one is None for one in shares) else _mean(shares, weights)
@@ -182,6 +180,12 @@ def model_weights(errors: Sequence[float | None], own: BoolArray, *, rule: Forec
     return weights / total if total > 0.0 else np.full(len(weights), 1.0 / max(1, len(weights)))
 
 
+def _two_left(errors: Sequence[float | None]) -> list[float | None]:
+    """Return ``errors``; an infinite one is 1, as of the mean of the data, unless two models with another remain."""
+    left = sum(error is None or not np.isinf(error) for error in errors)
+    return [1.0 if error is not None and np.isinf(error) and left < 2 else error for error in errors]
+
+
 def _weight(best: float, error: float | None, rule: ForecastRule) -> float:
     """Return the weight of a model relative to the best, which has 1."""
     if error is None:
@@ -245,7 +249,9 @@ def forecast_judgement(
     def score(champion: Champion, models: tuple[str, ...], by_model: Array) -> Array:
         own_families = {families.get(model, model) for model in champion.against}
         own = np.array([families.get(model, model) in own_families for model in models])
-        return weighted_median(by_model, model_weights([errors.get(model) for model in models], own, rule=rule))
+        return weighted_median(
+            by_model, model_weights(_two_left([errors.get(model) for model in models]), own, rule=rule)
+        )
 
     return score
 

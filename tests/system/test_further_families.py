@@ -72,7 +72,10 @@ def test_a_family_worse_than_no_change_and_a_linear_model_is_reported_after_its_
     far, linear = (report.prediction.model(name) for name in (FAR, "linear"))
     assert far.warning.startswith("far is worse than both no change (persistence) and a linear model on held-out data")
     assert not linear.warning
-    assert f"{far.warning}. Forecasts leave it out." in (tmp_path / "compared/report.html").read_text()
+    assert (
+        f"{far.warning}. Forecasts leave it out if two others remain."
+        in (tmp_path / "compared/report.html").read_text()
+    )
     direct = assess_prediction(
         {FAR: Far().fit(many_episodes(), rng=np.random.default_rng(0))}, many_episodes(), many_episodes()
     )

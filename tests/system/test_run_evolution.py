@@ -1,5 +1,7 @@
 """What is planned for one controller against members of a run, and what is reported of it."""
 
+from dataclasses import replace
+
 import pytest
 
 from evaluation.experiment import Experiment
@@ -50,12 +52,24 @@ def test_claims_are_made_on_the_members_and_a_forecast_from_the_other_models(
     assert sum(cell.kind == "predict" for cell in found.plan.cells) == predictions
 
 
+class Warned(Store):
+    """A run in which the model near failed the sanity check."""
+
+    def outcome(self, cell):
+        found = super().outcome(cell)
+        if cell.kind != "predict" or found.value.name != "near":
+            return found
+        return replace(found, value=replace(found.value, warning="near is worse than no change"))
+
+
 def test_a_controller_is_forecast_from_at_least_two_models_and_recorded_where_it_leaves_the_data(run_copy):
     store, results = Store(run_copy), {}
     for members in (("linear",), ("emulated_car",)):
         plan = planned(run_copy, *members, penalty="uncertainty(outside=1)")
         execute(plan.plan, store)
         results[members] = evolution_result(plan, store)
+        warned = evolution_result(plan, Warned(run_copy)).forecast
+        assert (warned is None or warned.weights == results[members].forecast.weights) is (members != ("linear",))
     alone, on_robot = results.values()
     assert sorted(alone.forecast.weights) == ["linear", "near"]
     assert alone.unit == "waypoints"

@@ -74,6 +74,24 @@ def test_every_point_has_its_controllers_with_what_they_claim_and_achieve(study_
         assert best.chosen
 
 
+def test_a_study_weights_a_model_that_fails_the_sanity_check_as_one_run_does(study_folder, planned, monkeypatch):
+    """Of two models the one that fails counts as predicting the mean; its error in the tables is the measured one."""
+    original = Store.outcome
+
+    def with_warning(text):
+        def outcome(store, cell):
+            found = original(store, cell)
+            failed = cell.kind == "predict" and found.value is not None and found.value.name == "linear"
+            return replace(found, value=replace(found.value, warning=text)) if failed else found
+
+        monkeypatch.setattr(Store, "outcome", outcome)
+        return gather_study(planned, study_folder).controllers
+
+    plain, warned = with_warning(""), with_warning("linear is worse than no change")
+    assert [row.error for row in plain] == [row.error for row in warned]
+    assert [row.forecast_low for row in plain] != [row.forecast_low for row in warned]
+
+
 def test_errors_of_models_are_those_that_were_measured(study_folder, planned):
     results, store, (point, comparison) = gather_study(planned, study_folder), Store(study_folder), planned.points[1]
     rows = {row.model: row for row in results.models if row.point == point.name}

@@ -114,9 +114,15 @@ def test_a_model_that_fails_the_sanity_check_has_no_weight_and_does_not_move_the
     alone = forecasts(matrix({"good": without}), ERRORS)["good"]
     assert found.weights["poor"] == 0.0
     assert (found.value, found.low, found.high) == (alone.value, alone.low, alone.high)
-    assert forecasts(matrix(rows), {**errors, "fair": INF}) == {}  # one model alone
-    none_left = forecasts(matrix(rows), dict.fromkeys(errors, INF))["good"]
-    assert set(none_left.weights.values()) == {1 / 3}
+    one_left = forecasts(matrix(rows), {**errors, "fair": INF})["good"]  # the others count as the mean of the data
+    assert one_left == forecasts(matrix(rows), {"good": 0.1, "poor": 1.0, "fair": 1.0})["good"]
+    worth = forecast_judgement(errors, {name: name for name in ERRORS})
+    by_model = np.array([[9.0], [8.5], [8.0]])
+    assert worth(evolved("good", ("good",)), ("good", "poor", "fair"), by_model) == found.value
+    two, known = ("good", "poor"), forecast_judgement({**errors, "poor": 1.0}, {name: name for name in ERRORS})
+    assert worth(evolved("good", two[:1]), two, by_model[:2]) == known(evolved("good", two[:1]), two, by_model[:2])
+    none_left = forecasts(matrix(rows), dict.fromkeys(errors, INF))
+    assert none_left == forecasts(matrix(rows), dict.fromkeys(errors, 1.0))
     predicted = prediction(dict.fromkeys(ERRORS, 0.1))
     models = tuple(replace(one, warning="poor" if one.name == "poor" else "") for one in predicted.models)
     reported = report(replace(predicted, models=models), matrix(rows))
@@ -320,8 +326,9 @@ UNMEASURED = [Plant("car", "car"), ("failed", "failed", None)]
         ([("a", "a", {1: 0.9, 10: 0.1}), ("b", "b", {1: 0.1, 10: 0.1}), ("c", "c", {10: 0.9})], ("a", "b")),
         # the best of two families, so that one can judge the other
         ([("a", "x", {20: 0.1}), ("b", "x", {20: 0.12}), ("c", "y", {20: 0.4}), ("d", "z", {20: 0.5})], tuple("abc")),
-        # one that fails the sanity check only where all do
-        ([("a", "x", {20: 0.1}), ("useless", "y", {20: 0.1})], ("a",)),
+        # one that fails the sanity check only where fewer than two families pass
+        ([("a", "x", {20: 0.1}), ("b", "z", {20: 0.3}), ("useless", "y", {20: 0.1})], ("a", "b")),
+        ([("a", "x", {20: 0.1}), ("useless", "y", {20: 0.1})], ("a", "useless")),
         ([("useless 1", "x", {20: 0.1}), ("useless 2", "y", {20: 0.4})], ("useless 1", "useless 2")),
         (UNMEASURED, ("car", "failed")),
         ([*UNMEASURED, *((n, n, {20: e}) for n, e in zip("abc", (1, 2, 3), strict=True))], ("car", "failed", "a", "b")),

@@ -398,8 +398,8 @@ def test_a_model_that_fails_the_sanity_check_is_named_on_the_page_in_the_termina
     rows = [replace(one, warning="sindy is worse") if one.name == "sindy" else one for one in made.prediction.models]
     cards = tuple(ModelSummary(name, name, "black", {}) for name in ("linear", "sindy"))
     failing = replace(made, prediction=replace(made.prediction, models=tuple(rows)), models=cards)
-    assert warnings(failing) == ["sindy is worse. Forecasts leave it out."]
-    assert "sindy is worse. Forecasts leave it out." in told(failing)
+    assert warnings(failing) == ["sindy is worse. Forecasts leave it out if two others remain."]
+    assert "sindy is worse. Forecasts leave it out if two others remain." in told(failing)
     fine, useless = models_section.section(failing).items[:2]
     assert fine.title == "linear: N 0.300, black box"
     assert useless.title == "sindy: N 0.600, worse than both no change and a linear model, black box"
