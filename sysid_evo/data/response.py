@@ -408,11 +408,9 @@ RESPONSE = 1.5
 """Time (s) after the start of a window in which a robot at rest responds."""
 FEWEST_SAMPLES = 10
 """Minimum number of samples of a window."""
-LONG, ACTIVE = 3.0, 0.15
-"""Least length (s) of a stretch at rest, and the largest share of moving samples in it, by noise."""
 WHOLE = 0.8
-"""Share of an episode at rest from which the whole episode is one stretch."""
-NEIGHBOURS, FEWEST_NEIGHBOURS, CLOSE = 5, 3, 0.2
+"""Share of an episode at rest from which it may be left out."""
+NEIGHBOURS, FEWEST_NEIGHBOURS, CLOSE = 5, 3, 0.3
 """Number of similar windows that are compared, the least number of them, and the largest difference of a command, as a
 share of its range in all data."""
 RESPONDING, EVIDENCE = 0.8, 2.0
@@ -430,7 +428,7 @@ def without_dead_stretches(dataset: Dataset) -> Dataset:
     if not isinstance(dataset.system.motion, PlanarBody):
         return dataset
     still = [~moving for moving in dataset.moving]
-    stretches = [_stretches(rows, dataset.system) for rows in still]
+    stretches = [_stretches(rows) for rows in still]
     if not any(stretches):
         return dataset
     dead, size = _dead(dataset, still, stretches), _window(dataset.system)
@@ -458,19 +456,9 @@ def _window(system: System) -> int:
     return max(FEWEST_SAMPLES, round(RESPONSE / system.dt))
 
 
-def _stretches(still: BoolArray, system: System) -> list[tuple[int, int]]:
-    """Return first and last step of the long stretches at rest of an episode."""
-    size = max(2, round(LONG / system.dt))
-    if len(still) <= size:
-        return []
-    if still.mean() >= WHOLE:
-        return [(0, len(still) - 1)]
-    share = np.convolve(~still, np.ones(size), mode="valid") / size
-    rows = np.zeros(len(still), dtype=bool)
-    for start in np.flatnonzero(share <= ACTIVE):
-        rows[start : start + size] = True
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]).astype(np.int8)))
-    return [(int(first), min(int(last), len(still) - 1)) for first, last in edges.reshape(-1, 2)]
+def _stretches(still: BoolArray) -> list[tuple[int, int]]:
+    """Return first and last step of an episode at rest; a stop within another episode is no sign of a fault."""
+    return [(0, len(still) - 1)] if still.mean() >= WHOLE else []
 
 
 def _dead(
