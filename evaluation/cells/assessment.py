@@ -281,4 +281,4 @@ class SearchExploit(CellSettings):
 CELL_KINDS["run"] = CellKind(result_of(TransferResult))
 CELL_KINDS["exploit"] = CellKind(result_of(tuple[ModelExploitability, ...]), version=2, tolerant=True)
 CELL_KINDS["advise"] = CellKind(result_of(ModelAdvice), tolerant=True)
-CELL_KINDS["search"] = CellKind(CONTROLLERS)
+CELL_KINDS["search"] = CellKind(CONTROLLERS, version=2)

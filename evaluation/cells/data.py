@@ -153,4 +153,4 @@ def _load(path: Path) -> SplitDataset:
 
 
 DATA = "data"
-CELL_KINDS[DATA] = CellKind(ResultType("data", _save, _load))
+CELL_KINDS[DATA] = CellKind(ResultType("data", _save, _load), version=2)

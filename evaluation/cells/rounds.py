@@ -390,5 +390,5 @@ def _load(path: Path) -> RoundsSoFar:
     return RoundsSoFar(Dataset.load(path / "data"), load_result(RoundsSummary, path / "rounds"))
 
 
-CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load))
-CELL_KINDS["choose_round"] = CellKind(CONTROLLERS, tolerant=True)
+CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=2)
+CELL_KINDS["choose_round"] = CellKind(CONTROLLERS, version=2, tolerant=True)
