@@ -8,12 +8,14 @@ from datetime import date
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from evaluation.advice.evidence import ModelAdvice
 from evaluation.behaviour import DrivingSummary, driving_summaries
 from evaluation.exploitability.results import ModelExploitability, outside_shares
 from evaluation.linearisation import LinearResponse, OperatingPoint, linearised
 from evaluation.prediction.scores import ConditionError, Prediction, forecast_error
-from evaluation.rounds import RoundsSummary
+from evaluation.rounds import ROUNDS, RoundsSummary
 from evaluation.transfer.forecast import Forecast, ModelForecast, best_choice, forecasts, model_forecasts
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import TransferSummary, chosen_by, summarise
@@ -61,10 +63,19 @@ class ComparisonResults(Displayed):
 
     @cached_property
     def transfer(self) -> TransferSummary | None:
-        """Claimed and achieved fitness of every controller, and the recommended one, by its forecast."""
+        """Claimed and achieved fitness of every controller, and the recommended one, by its forecast.
+
+        The controller of rounds is recommended instead of a baseline if it achieved more in its recorded episodes than
+        the forecast of the baseline.
+        """
         if self.matrix is None or not self.matrix.champions:
             return None
-        return chosen_by(summarise(self.matrix), self.forecasts, best_choice(self.matrix, self.forecasts))
+        pick = best_choice(self.matrix, self.forecasts)
+        if pick in self.matrix.baselines and ROUNDS in self.forecasts and self.rounds is not None:
+            # what it achieved while it was recorded is known, whatever the models expect of it
+            recorded = max((float(one.achieved.mean()) for one in self.rounds.rounds), default=-np.inf)
+            pick = ROUNDS if recorded > self.forecasts[pick].value else pick
+        return chosen_by(summarise(self.matrix), self.forecasts, pick)
 
     @cached_property
     def forecasts(self) -> Mapping[str, Forecast]:

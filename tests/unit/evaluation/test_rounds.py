@@ -187,6 +187,16 @@ def test_the_report_has_a_row_for_each_round_and_says_why_there_are_no_more():
     assert rounds_table(report()) is None
 
 
+def test_a_baseline_is_chosen_only_if_its_forecast_is_above_what_was_recorded_under_the_controller_of_rounds():
+    rows = {"rounds": {"a": -20.0, "b": -21.0}, "rest": {"a": -12.0, "b": -12.0}}
+    found = report(transfer=matrix(rows, against={"rounds": ("a", "b")}))
+    assert found.transfer.pick == "rest"
+    for achieved, pick in (([-9.0, -8.0], "rounds"), ([-15.0, -14.0], "rest")):
+        summary = RoundsSummary(first=100, first_episode=50, rounds=(made(1, [-20.0, -21.0], achieved),))
+        assert replace(found, rounds=summary).transfer.pick == pick
+    assert replace(found, rounds=RoundsSummary(first=100, first_episode=50)).transfer.pick == "rest"
+
+
 def test_the_controller_with_the_highest_recorded_fitness_is_chosen_among_all_rounds():
     planned = plan_comparison(Experiment(robot=ROBOT, rounds=2, models=("linear",)))
     cell = planned.matrix.controllers[0]
