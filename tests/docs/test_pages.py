@@ -285,7 +285,7 @@ def test_the_glossary_has_the_words_and_sentences_of_the_report():
 
 
 def test_every_kind_has_a_page():
-    assert set(PLUGINS) == {"model", "task", "controller", "strategy", "reader", "robot"}
+    assert set(PLUGINS) == {"model", "task", "controller", "strategy", "reader", "robot", "adapter"}
 
 
 @pytest.mark.parametrize("page", ["README.md", "CHANGELOG.md"])

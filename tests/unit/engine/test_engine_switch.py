@@ -16,7 +16,7 @@ from sysid_evo.engine import DynamicsRunner, imagined, reference, resolve, rollo
 from sysid_evo.errors import CheckpointWarning, InvalidArgument
 from sysid_evo.evolution import ControllerEvolution, ModelEvolution, evolve_controller, model_evolution
 from sysid_evo.models.base import make_model
-from sysid_evo.plan import CONTRACT, Plan
+from sysid_evo.plan import CELL_KINDS, CONTRACT, Plan
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.tasks.point_to_point import PointToPoint
@@ -142,7 +142,14 @@ def test_a_digest_contains_the_engine_where_it_is_not_auto(engine):
         return recorded().digest
 
     cell = recorded()
-    content = {"kind": cell.kind, "version": 1, "contract": CONTRACT, "inputs": cell.settings.inputs(), "needs": []}
+    version = CELL_KINDS[cell.kind].version
+    content = {
+        "kind": cell.kind,
+        "version": version,
+        "contract": CONTRACT,
+        "inputs": cell.settings.inputs(),
+        "needs": [],
+    }
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     assert digest("") == digest("auto") == hashlib.sha256(text.encode()).hexdigest()
     assert digest("reference") != digest("auto")
