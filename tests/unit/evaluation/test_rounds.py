@@ -11,9 +11,11 @@ from evaluation.planning import plan_comparison
 from evaluation.report.report import brief, to_html
 from evaluation.report.sections.rounds import rounds_sentence, rounds_table
 from evaluation.rounds import RecordingRound, RoundsSummary, reason_to_end
+from evaluation.running import with_further_families
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import ControllerEvolution
+from sysid_evo.plan import Store
 from sysid_evo.registry import Spec, make_robot, robot_spec
 from tests.fixtures.known_models import Known, fitted, recording
 from tests.fixtures.reports import matrix, printed, report
@@ -45,6 +47,11 @@ def test_each_round_needs_the_one_before_and_the_models_need_the_last():
 
 def system():
     return make_robot(robot_spec(ROBOT)).system
+
+
+def test_no_further_family_is_tried_in_rounds_whose_models_are_fitted_again(tmp_path):
+    comparison = plan_comparison(Experiment(robot="pendulum", rounds=2))
+    assert with_further_families(comparison, Store(tmp_path), pytest.fail) is comparison
 
 
 def test_one_round_is_the_usual_comparison():
