@@ -139,6 +139,8 @@ def test_windows_are_shorter_where_most_episodes_are_and_single_steps_of_all_epi
     whole = example_dataset()
     usual = TrainingWindows.of(whole, 5, 0)
     assert (usual.horizon, usual.single is usual.starts) == (5, True)
+    some = TrainingWindows.of(short_episodes([3] * 10 + [30] * 3), 4, 0)  # enough fits: the short ones are not used
+    assert (some.horizon, some.single is some.starts) == (4, True)
     with pytest.raises(InvalidData, match="no episode has a moving sample after the 8 that are the history"):
         TrainingWindows.of(short_episodes([6] * 20), 20, 8)
 
