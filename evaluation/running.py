@@ -106,7 +106,7 @@ def with_further_families(
 
     Fits and predictions of ``comparison`` are computed by ``compute``, then those of `FURTHER_FAMILIES` until one
     predicts; ``tried_models`` of its experiment names them. Nothing is added if the test data do not suffice for a
-    decision, nor in rounds, which mend their models by recording. ``dataset`` is that of `plan_run`.
+    decision, nor in rounds, which record and fit again. ``dataset`` is that of `plan_run`.
     """
     experiment = comparison.experiment
     if (experiment.rounds or 1) > 1:
