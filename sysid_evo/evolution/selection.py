@@ -74,8 +74,8 @@ def choose(
     near = [one for one in scored or ranked if ranking_value(one[0]) >= top - EQUAL_SHARE * abs(top)]
     best, own, _ = near[_largest_margin(near, selection_seeds(seed, trials))]
     # searches from several starts may have found controllers of another kind, with other parameters
-    alike = tuple(finalist for finalist, champion, _ in ranked if champion.controller == own.controller)
-    return replace(own, parameters=best.parameters, finalists=alike)
+    same_kind = tuple(finalist for finalist, champion, _ in ranked if champion.controller == own.controller)
+    return replace(own, parameters=best.parameters, finalists=same_kind)
 
 
 def _largest_margin(near: Sequence[tuple[Finalist, Champion, Mapping[str, Runner]]], seeds: Seeds) -> int:

@@ -1,4 +1,4 @@
-"""Default comparisons beside reinforcement learning: ``python -m tests.benchmarks.rounds --out FOLDER``.
+"""Default comparisons and reinforcement learning: ``python -m tests.benchmarks.rounds --out FOLDER``.
 
 For each of ``--ids`` and ``--seeds`` the default comparison is made in a folder of its own in ``FOLDER``; finished ones
 are not repeated. Returns are means over ``--trials`` episodes in a loop of ``env.step``: of the exported Python file of

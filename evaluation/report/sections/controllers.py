@@ -162,7 +162,8 @@ def _fitness_note(report: ComparisonResults, known: Sequence[ControllerSummary],
     assert report.transfer is not None
     notes = ["Mean ± standard error over fresh trials."]
     if report.forecasts:
-        notes.append("Rows are in the order of the forecast, the only figure by which a controller is chosen.")
+        alone = "" if report.rounds is not None else ", the only figure by which a controller is chosen"
+        notes.append(f"Rows are in the order of the forecast{alone}.")
     notes.append("Claimed: fitness in the models where the controller was evolved.")
     notes.append("Exploited: the claim is too high by more than a tenth and two standard errors.")
     if short:

@@ -9,7 +9,7 @@ Every RUN is the folder of a comparison on an emulated car, as made by ``sysid-e
 other trials, on the car; results are stored in ``--out``. Further terms are tested in single runs only, where they take
 most of the time. Prints the rank correlation with the achieved fitness within a run (means over runs, 95 % intervals
 over cars), the error, and the loss from choosing the best of ten; the coverage of 90 % intervals, with each car
-calibrated on the others; the benefit of further terms; and the constants of `evaluation.transfer.forecast.RULE`.
+calibrated on the others; the benefit of further terms; and the constants of `FORECAST_RULE`.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Every run is a comparison of its own in FOLDER, by default settings but for 60 generations. ``--compute`` makes those
 that are missing. For each kind of robot it prints how many of the 90 % intervals hold, with the ends of the interval in
 the code and with those that the other kinds give; the same for the chosen controllers; the mean error; and how often
-the choice is worse than controls at rest. Kinds count alike in calibration, however many controllers they have.
+the choice is worse than controls at rest. Every kind has the same weight in calibration.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ REST = "rest"
 
 
 def calibrated(found: Sequence[Case], share: float = FORECAST_RULE.share) -> tuple[float, float]:
-    """Return between which multiples of their units the errors of ``share`` of the controllers lie, by kind alike."""
+    """Return between which multiples of their units ``share`` of the errors lie; all kinds have the same weight."""
     kinds = [one.kind for one in found]
     missed = np.array([(one.achieved - one.forecast) / max(one.unit, 1e-9 * one.gain) for one in found])
     weights = np.array([1.0 / kinds.count(kind) for kind in kinds])

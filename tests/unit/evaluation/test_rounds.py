@@ -9,6 +9,7 @@ from evaluation.cells.rounds import ChooseRound, Round, RoundData, RoundsSoFar, 
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
 from evaluation.report.report import brief, to_html
+from evaluation.report.sections.controllers import fitness_table
 from evaluation.report.sections.rounds import rounds_sentence, rounds_table
 from evaluation.rounds import RecordingRound, RoundsSummary, reason_to_end
 from evaluation.running import with_further_families
@@ -192,6 +193,8 @@ def test_the_report_has_a_row_for_each_round_and_says_why_there_are_no_more():
     assert "Rounds of recording" in "\n".join(printed(brief(shown)))
     assert "Rounds of recording" in to_html(shown)
     assert rounds_table(report()) is None
+    assert "Rows are in the order of the forecast. Claimed" in fitness_table(shown).note  # recordings decide, too
+    assert "forecast, the only figure by which" in fitness_table(replace(shown, rounds=None)).note
 
 
 def test_a_baseline_is_chosen_only_if_its_forecast_is_above_what_was_recorded_under_the_controller_of_rounds():
