@@ -12,7 +12,7 @@ from model_zoo.scaling import deviation
 from sysid_evo import Dataset, register_model
 from sysid_evo.models.kernels import Predictor, network_predictor
 from sysid_evo.models.learned import Declared
-from sysid_evo.models.parameters import Limit, SearchRange, Within, at_least
+from sysid_evo.models.parameters import Limit, at_least
 from sysid_evo.models.stochastic import StochasticModel
 from sysid_evo.progress import Progress
 from sysid_evo.types import Array
@@ -31,7 +31,6 @@ class Linear(StochasticModel):
     knowledge = "black"
     fast_fit = True
     model_class = "polynomial"
-    search_ranges: ClassVar[dict[str, SearchRange]] = {"ridge": Within(1e-6, 100.0, log=True)}
     limits: ClassVar[dict[str, Limit]] = {"ridge": at_least(0)}
 
     ridge: float = 0.0

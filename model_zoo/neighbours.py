@@ -17,7 +17,7 @@ from sysid_evo import Dataset, DynamicsModel, System, register_model
 from sysid_evo.models.kernels import Predictor, neighbour_predictor, on_top, with_angles
 from sysid_evo.models.kernels.neighbours import EXACT_INTEGERS, numbers_taken
 from sysid_evo.models.learned import Declared, Numbers
-from sysid_evo.models.parameters import Limit, SearchRange, Within, above, at_least
+from sysid_evo.models.parameters import Limit, above, at_least
 from sysid_evo.models.stochastic import StochasticModel
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.types import Array, IntArray
@@ -132,10 +132,6 @@ class KNeighbours(StochasticModel):
     knowledge = "dark grey"
     fast_fit = True
     model_class = "neighbours"
-    search_ranges: ClassVar[dict[str, SearchRange]] = {
-        "neighbours": Within(3, 60, log=True),
-        "control_weight": Within(0.2, 5.0, log=True),
-    }
     periodic = True
     precision = "float64"  # the choice of neighbours depends on the last digits
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"neighbours": 8, "state_lags": 0, "control_lags": 0}}

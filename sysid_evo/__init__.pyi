@@ -41,7 +41,6 @@ from .system import Channel, System
 from .tasks.point_to_point import PointToPoint
 from .tasks.reward import register_reward
 from .tasks.task import Task, TaskState, learn_task, make_task
-from .tuning import Tuning
 from .validation.folds import ConditionFold, EpisodeFold
 from .version import __version__
 
@@ -80,7 +79,6 @@ __all__ = [
     "TaskState",
     "Trajectory",
     "Transitions",
-    "Tuning",
     "View",
     "Windows",
     "as_model",

@@ -127,7 +127,7 @@ RENAMED: Mapping[str, tuple[str, ...]] = {
     "neural_ode_history": ("neural_ode(lag_search=all)",),
     "offered_lags": ("lag_options",),
     "offsets": ("random_effects",),
-    "only": ("stop_after", "parameters"),
+    "only": ("stop_after",),
     "over": ("window",),
     "polish": ("polish_generations",),
     "recipe": ("procedure",),

@@ -17,7 +17,7 @@ from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.models.adaptation import held_out_error
 from sysid_evo.models.ensemble import MeanModel
 from sysid_evo.models.learned import Declared, Numbers
-from sysid_evo.models.parameters import Limit, SearchRange, Within, above, at_least
+from sysid_evo.models.parameters import Limit, above, at_least
 from sysid_evo.progress import Progress
 from sysid_evo.types import Array
 from sysid_evo.validation.folds import make_folds
@@ -63,7 +63,6 @@ class Auto(MeanModel):
     periodic = True
     chooses_families = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"budget": 60.0}, "paper": {"budget": 900.0}}
-    search_ranges: ClassVar[dict[str, SearchRange]] = {"cutoff": Within(1.0, 2.0)}
     limits: ClassVar[dict[str, Limit]] = {
         "budget": above(0),
         "cutoff": at_least(1),

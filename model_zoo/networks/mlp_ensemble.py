@@ -16,7 +16,7 @@ from model_zoo.scaling import Mirror
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.models.kernels import Predictor, network_predictor, with_angles
 from sysid_evo.models.learned import Declared, Numbers
-from sysid_evo.models.parameters import Limit, OneOf, SearchRange, Within, at_least
+from sysid_evo.models.parameters import Limit, at_least
 from sysid_evo.models.stochastic import StochasticModel
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.types import Array
@@ -67,11 +67,6 @@ class MlpEnsemble(StochasticModel):
     model_class = "network"
     periodic = True
     resumable = True
-    search_ranges: ClassVar[dict[str, SearchRange]] = {
-        "input_noise": Within(0.02, 4.0, log=True),
-        "hidden": OneOf((None, [24, 24], [96, 96])),
-        "horizon": Within(5, 40, log=True),
-    }
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {
             "members": 3,

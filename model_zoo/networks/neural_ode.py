@@ -26,7 +26,7 @@ from sysid_evo.models.kernels import (
     with_angles,
 )
 from sysid_evo.models.learned import Declared
-from sysid_evo.models.parameters import Limit, OneOf, SearchRange, Within, above, at_least
+from sysid_evo.models.parameters import Limit, above, at_least
 from sysid_evo.models.stochastic import StochasticModel
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.system import System
@@ -64,12 +64,6 @@ class NeuralOde(StochasticModel):
     model_class = "network"
     periodic = True
     resumable = True
-    search_ranges: ClassVar[dict[str, SearchRange]] = {
-        "input_noise": Within(0.02, 4.0, log=True),
-        "hidden": OneOf((None, [24], [64, 64])),
-        "horizon": Within(5, 40, log=True),
-        "learning_rate": Within(2e-3, 2e-2, log=True),
-    }
     limits: ClassVar[dict[str, Limit]] = {
         **{name: at_least(1) for name in ("hidden", "one_step_updates", "updates", "horizon")},
         "learning_rate": above(0),

@@ -18,7 +18,7 @@ from model_zoo.polynomial.model import (
 )
 from model_zoo.scaling import root_mean_square
 from sysid_evo import Dataset, DynamicsModel, register_model
-from sysid_evo.models.parameters import Limit, SearchRange, Within, at_least
+from sysid_evo.models.parameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.folds import FOLDS
@@ -45,7 +45,6 @@ class Narx(PolynomialModel):
 
     knowledge = "black"
     fast_fit = True
-    search_ranges: ClassVar[dict[str, SearchRange]] = {"degree": Within(1, 3), "terms": Within(4, 64, log=True)}
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"degree": None, "terms": 32, "lag_search": "few"}}
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "terms": at_least(1)}
 

@@ -30,7 +30,7 @@ from model_zoo.scaling import root_mean_square
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.models import DynamicsModel
-from sysid_evo.models.parameters import Limit, SearchRange, Within, at_least
+from sysid_evo.models.parameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, IntArray
@@ -62,11 +62,6 @@ class SparsePolynomial(PolynomialModel):
 
     knowledge = "dark grey"
     requires = ("pysindy",)
-    search_ranges: ClassVar[dict[str, SearchRange]] = {
-        "degree": Within(1, 3),
-        "threshold": Within(0.003, 1.0, log=True),
-        "ridge": Within(1e-6, 0.1, log=True),
-    }
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"lag_search": "few"}}
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "threshold": at_least(0), "ridge": at_least(0)}
     lag_options: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3))

@@ -45,14 +45,13 @@ PANELS = {
             "list": Entry("List the model families and the physics they assume.", "plugins:list_models"),
             "show": Entry("Show a model family, or a fitted model.", "models:show_model"),
         }),
-        "tune": Entry("Search the hyperparameters of a family by simulation error.", "models:tune"),
         "adapt": Entry("Adapt a fitted model to a new operating condition.", "models:adapt"),
     },
     "Controllers": {
         "evolve": Entry("Evolve a controller on one model or on an ensemble of models.", "controllers:evolve"),
         "exploit": Entry("Search the controller that exploits one model most.", "controllers:exploit"),
         "transfer": Entry("Run stored controllers on models and robots; report their fitness.", "controllers:transfer"),
-        "export": Entry("Write a controller as a Python, C or ONNX file.", "export:export"),
+        "export": Entry("Write a controller as a Python or C file.", "export:export"),
     },
     "Robots": {
         "robots": Entry("List robot drivers; check whether a robot is ready.", {
@@ -87,7 +86,6 @@ REFUSED = {
     "evolve": (JOBS,),
     "study": (JOBS, Meaningless(("jobs", "scheduler", "dry_run"), "nothing is computed", {"render": ()})),
     "record": (Meaningless(("minutes",), "its manoeuvres have fixed lengths", {"manoeuvre": ()}),),
-    "tune": (Meaningless(("budget",), "the number of trials ends the search", {"trials": ()}),),
     "export": (Meaningless(("real",), "NumPy computes in double precision", {"to": ("python",)}),),
     "drive": (
         Meaningless(("robot",), "the model is driven instead", {"model": ()}),

@@ -13,23 +13,23 @@ from sysid_evo.cli.options import Plugins, argument, load_plugins, option
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.files import write_atomically
 
-SUFFIXES = {"python": ".py", "c": ".c", "onnx": ".onnx"}
+SUFFIXES = {"python": ".py", "c": ".c"}
 REALS = ("double", "float")
 
 
 def export(
     controller: Annotated[Path, argument("File of an evolved controller: RUN/controllers/NAME", "CONTROLLER")],
-    to: Annotated[str, option("python (NumPy only), c (C99 without allocation) or onnx", "NAME", panel="File",
+    to: Annotated[str, option("python (NumPy only) or c (C99 without allocation)", "NAME", panel="File",
         values=lambda: SUFFIXES)],
     file: Annotated[Path | None, option("File to write", "FILE", "--out", panel="File",
         shown="NAME with its suffix")] = None,
     name: Annotated[str | None, option("Name of the controller in the file", "NAME", panel="File",
         shown="its own name")] = None,
-    real: Annotated[str, option("Precision of C and ONNX: double or float", "NAME", panel="File", shown="double",
+    real: Annotated[str, option("Precision of C: double or float", "NAME", panel="File", shown="double",
         values=lambda: REALS)] = "double",
     plugin: Plugins = None,
 ) -> None:  # fmt: skip
-    """Write a controller as a Python, C or ONNX file.
+    """Write a controller as a Python or C file.
 
     The file computes controls from observations. Its head states inputs, outputs, units and sampling time, and how to
     use and check it.
@@ -47,14 +47,8 @@ def export(
     if path.exists():
         raise InvalidArgument(f"--out: {path} exists already; remove it, or name another file")
     precision: sysid_evo.export.Real = "float" if real == "float" else "double"
-    if to == "onnx":
-        content = sysid_evo.export.onnx_bytes(law, precision)
-    else:
-        text = (
-            sysid_evo.export.python_text(law) if to == "python" else sysid_evo.export.c_text(law, precision, path.name)
-        )
-        content = text.encode()
-    write_atomically(path, lambda temporary: temporary.write_bytes(content))
+    text = sysid_evo.export.python_text(law) if to == "python" else sysid_evo.export.c_text(law, precision, path.name)
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     for line in (f"{law.champion.name} written to {path}", *how_to_use(law, to, path)):
         print_line(line)
 
@@ -74,12 +68,7 @@ def how_to_use(law: sysid_evo.export.ExportedController, to: str, path: Path) ->
             f"use:   from {path.stem} import Controller; control = Controller().step(observation), {every}",
             f"check: python {path}",
         )
-    if to == "c":
-        return (
-            f"use:   {law.name}_reset(&memory), then {law.name}_step(&memory, observation, control) {every}",
-            f"check: cc -std=c99 -DTEST_{law.name.upper()} {path} -lm -o check && ./check",
-        )
-    names = ", ".join(f"memory_{name}" for name in law.program.remembered) or "none"
     return (
-        f"use:   inputs observation and memory ({names}; zeros at first), outputs control and the next memory, {every}",
+        f"use:   {law.name}_reset(&memory), then {law.name}_step(&memory, observation, control) {every}",
+        f"check: cc -std=c99 -DTEST_{law.name.upper()} {path} -lm -o check && ./check",
     )

@@ -1,4 +1,4 @@
-"""Models show, tune, adapt: families and fitted models."""
+"""Models show, adapt: families and fitted models."""
 
 from __future__ import annotations
 
@@ -8,15 +8,13 @@ import time
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
 from rich.table import Table
 from rich.text import Text
 
-import evaluation
 import sysid_evo
 from sysid_evo.cli import options
-from sysid_evo.cli.console import INTERRUPTED, note, out, print_line, print_status, table_of
-from sysid_evo.cli.options import argument, column_map, listed, load_plugins, names_of, number, option, time_of
+from sysid_evo.cli.console import note, out, print_line, table_of
+from sysid_evo.cli.options import argument, load_plugins, names_of, number, option
 from sysid_evo.cli.progress import PlanProgress
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.registry.registry import models
@@ -176,95 +174,6 @@ def _hyper_parameters(values: Any) -> Table:
     for row in rows:
         table.add_row(*[Text(str(row.get(column, ""))) for column in columns])
     return table
-
-
-JOURNAL = "tune.journal"
-
-TRIALS_SHOWN = 8
-"""The number of best trials that are printed."""
-
-
-def tune(
-    family: Annotated[str, argument("SPEC of the family; parameters given there are not searched", "SPEC",
-        values=names_of("model"))],
-    data: Annotated[list[Path], option("Logs, folders of logs, or a data set; repeatable", "PATH",
-        panel="Data and models")],
-    columns: options.Columns = None,
-    parameters: Annotated[str | None, option("Parameters to search, comma-separated", "LIST", panel="Data and models",
-        shown="all")] = None,
-    horizon: Annotated[list[int] | None, option("Steps of simulation after which the error is measured; repeatable",
-        "N", panel="Data and models", shown="those of 1 s", parser=number(1))] = None,
-    budget: Annotated[str, option("Time to search, such as 90s, 5m or 1h", "TIME", panel="Budget", shown="5m")] = "5m",
-    trials: Annotated[int | None, option("Trials, instead of a time", "N", panel="Budget", parser=number(1))] = None,
-    seed: options.Seed = None, folder: options.Out = None, plugin: options.Plugins = None,
-    as_json: options.Json = False,
-) -> None:  # fmt: skip
-    """Search the hyperparameters of a family by simulation error.
-
-    The error is measured on held-out recordings. All trials are kept in the run folder: repeat the command with the
-    same --out to continue.
-    """
-    load_plugins(plugin)
-    seconds = None if trials is not None else time_of("--budget", budget)
-    dataset = sysid_evo.Dataset.read(data, columns=column_map(columns))
-    path = folder if folder is not None and (folder / JOURNAL).is_file() else evaluation.check_run_folder(folder)
-    search = sysid_evo.Tuning(
-        family,
-        dataset,
-        horizons=horizon,
-        parameters=listed("--parameters", parameters),
-        seed=seed or 0,
-        file=path / JOURNAL,
-    )
-    interrupted = False
-    with PlanProgress() as bars:
-        bars.begin(f"tune {search.spec.name}")
-        try:
-            for _ in search.run(seconds=seconds, trials=trials, progress=bars.advance):
-                pass
-        except KeyboardInterrupt:
-            interrupted = True
-    if interrupted:
-        print_status(f"interrupted: the finished trials are kept; continue with --out {path}")
-    if as_json:
-        out.print_json(data=search_to_json(search))
-    else:
-        print_search(search)
-    if interrupted:
-        raise typer.Exit(INTERRUPTED)
-
-
-def search_to_json(search: sysid_evo.Tuning) -> dict[str, Any]:
-    """Return the results of a search as strict JSON."""
-    return {
-        "best": search.best.spec.text,
-        "error": search.best.error,
-        "horizons": list(search.horizons),
-        "importance": search.importance,
-        "trials": [
-            {"spec": one.spec.text, "error": one.error, "seconds": one.seconds, "reason": one.reason}
-            for one in search.trials
-        ],
-    }
-
-
-def print_search(search: sysid_evo.Tuning) -> None:
-    """Print the best trials, the importance of the parameters, and the SPEC to use."""
-    best, tried = search.best, search.trials
-    table = table_of("error", "seconds", "parameters", numbers=("error", "seconds"))
-    for one in tried[:TRIALS_SHOWN]:
-        if one.error is not None:
-            settings = ", ".join(f"{key}={value}" for key, value in one.spec.parameters.items())
-            table.add_row(f"{one.error:.4f}", f"{one.seconds:.1f}", Text(settings))
-    out.print(table)
-    steps = ", ".join(map(str, search.horizons))
-    out.print(Text(f"{len(tried)} trials; simulation error after {steps} steps on held-out data"))
-    if search.importance:
-        shares = ", ".join(f"{key} {100.0 * share:.0f} %" for key, share in search.importance.items())
-        out.print(Text(f"Importance: {shares}"))
-    for reason in dict.fromkeys(one.reason for one in tried if one.error is None and one.reason != "stopped early"):
-        note(f"a trial failed: {reason}")
-    print_line(best.spec.text)
 
 
 CORRECTIONS_SHOWN = 12

@@ -25,7 +25,6 @@ from sysid_evo.data.frames import (
     read_samples,
     unreadable,
     write_samples,
-    xarray_of,
 )
 from sysid_evo.data.reading import Recording, paths_of, read_recording
 from sysid_evo.data.trajectory import Trajectory, WindowIndex, Windows, as_columns, moving_rows, recording
@@ -36,7 +35,6 @@ from sysid_evo.types import Array, BoolArray, IntArray, check_shape
 
 if TYPE_CHECKING:
     import pandas as pd
-    import xarray as xr
 
 
 @dataclass(frozen=True)
@@ -167,15 +165,6 @@ class Dataset(Displayed):
         the name of another column.
         """
         return frame_of(self.system, self.episodes)
-
-    def to_xarray(self) -> xr.Dataset:
-        """Return one variable (episode, time) for each channel, with its unit and its role (state, control, pose).
-
-        Shorter episodes are padded with nan; the coordinate ``length`` is the number of samples of each episode,
-        ``condition`` its condition. Raises `MissingExtra` without xarray, `InvalidData` if a channel has the name of a
-        coordinate.
-        """
-        return xarray_of(self.system, self.episodes)
 
     @classmethod
     def read(

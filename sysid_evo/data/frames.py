@@ -1,4 +1,4 @@
-"""Conversion of data sets to and from pandas, xarray, and a folder with Parquet."""
+"""Conversion of data sets to and from pandas, and a folder with Parquet."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ import numpy as np
 from sysid_evo.data.readers import read_parquet
 from sysid_evo.data.trajectory import TERMINATED, TRUNCATED, Trajectory
 from sysid_evo.errors import ArtefactError, InvalidArgument, InvalidData, SysidEvoError
-from sysid_evo.extras import check_installed
 from sysid_evo.files import write_atomically
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray
 
 if TYPE_CHECKING:
     import pandas as pd
-    import xarray as xr
 
 
 UNEVEN = 0.05
@@ -123,33 +121,6 @@ def frame_of(system: System, episodes: Sequence[Trajectory]) -> pd.DataFrame:
     frame.insert(0, "time", np.concatenate([times(episode) for episode in episodes]))
     frame.insert(0, "episode", np.repeat([episode.name for episode in episodes], [len(table) for table in tables]))
     return frame
-
-
-def xarray_of(system: System, episodes: Sequence[Trajectory]) -> xr.Dataset:
-    """Return episodes as labelled arrays, see `Dataset.to_xarray`."""
-    check_installed("Dataset.to_xarray", ["xarray"])
-    import xarray as xr
-
-    names = channel_names(system, "episode", "time", "length", "condition")
-    longest = max(episodes, key=len)
-    values = np.full((len(episodes), len(longest) + 1, len(names)), np.nan)
-    for i, episode in enumerate(episodes):
-        values[i, : len(episode) + 1] = sample_table(system, episode)
-    units = () if system.motion is None else system.motion.pose_units
-    columns = [("state", channel.unit) for channel in system.states]
-    columns += [("control", channel.unit) for channel in system.controls]
-    columns += [("pose", unit) for unit in units]
-    variables = {
-        name: (("episode", "time"), values[:, :, i], {"role": role} | ({"units": unit} if unit else {}))
-        for i, (name, (role, unit)) in enumerate(zip(names, columns, strict=True))
-    }
-    coordinates = {
-        "episode": [episode.name for episode in episodes],
-        "time": ("time", times(longest), {"units": "s"}),
-        "length": ("episode", [len(episode) + 1 for episode in episodes], {"long_name": "samples of the episode"}),
-        "condition": ("episode", [episode.condition for episode in episodes]),
-    }
-    return xr.Dataset(variables, coordinates, {"dt": system.dt, "system": system.name})
 
 
 def sample_table(system: System, episode: Trajectory) -> Array:

@@ -1,6 +1,5 @@
 from .c_file import c_text
 from .exported_controller import ExportedController, Real, exported_controller
-from .onnx_file import onnx_bytes
 from .python_file import python_text
 
-__all__ = ["ExportedController", "Real", "c_text", "exported_controller", "onnx_bytes", "python_text"]
+__all__ = ["ExportedController", "Real", "c_text", "exported_controller", "python_text"]

@@ -37,7 +37,6 @@ from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import (
     Limit,
     ParameterAccess,
-    SearchRange,
     at_least,
     check_names,
     check_values,
@@ -83,8 +82,8 @@ class DynamicsModel(Dynamics, ParameterAccess):
 
     - ``knowledge``: how much physics the family assumes (black, dark grey, grey, white).
     - ``model_class``: the class in which `auto` compares it (network, polynomial, neighbours, physics, or another).
-    - ``presets``: hyper-parameters that change with the budget (quick, standard, paper); ``search_ranges``: where
-      `sysid_evo.tuning` searches; ``limits``: which numbers are allowed (types follow from the constructor).
+    - ``presets``: hyper-parameters that change with the budget (quick, standard, paper); ``limits``: which
+      numbers are allowed (types follow from the constructor).
     - ``requires``: optional packages that `fit` imports; ``precision``: the lowest that is exact enough for the
       compiled form.
     - ``periodic``: angles that differ by whole turns are equal to the model.
@@ -115,7 +114,6 @@ class DynamicsModel(Dynamics, ParameterAccess):
 
     knowledge: ClassVar[str] = "black"
     model_class: ClassVar[str] = ""
-    search_ranges: ClassVar[Mapping[str, SearchRange]] = {}
     bounds_multiple: ClassVar[float] = 2.0
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     limits: ClassVar[Mapping[str, Limit]] = {

@@ -1,4 +1,4 @@
-"""Hyper-parameters: declaration, types, limits, search ranges, scikit-learn's access."""
+"""Hyper-parameters: declaration, types, limits, scikit-learn's access."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import types
 import typing
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias, Union
+from typing import TYPE_CHECKING, Any, Literal, Self, Union
 
 import numpy as np
 
@@ -203,22 +203,3 @@ def shorter(estimator: Any, dataset: Dataset) -> str:
         found["max_steps"] = max(1, min(n_steps, now["max_steps"] or n_steps) // 10)
     what = ", ".join(f"{name}={value!r}" for name, value in found.items()) or "a shorter recording"
     return f"{what} (of {n_steps:,} steps, {dataset.system.nx} states and {dataset.system.nu} controls)"
-
-
-@dataclass(frozen=True)
-class Within:
-    """Numbers from ``low`` to ``high``; with ``log``, uniform in the logarithm."""
-
-    low: float
-    high: float
-    log: bool = False
-
-
-@dataclass(frozen=True)
-class OneOf:
-    """One of ``values``, of any type that a spec can write."""
-
-    values: tuple[Any, ...]
-
-
-SearchRange: TypeAlias = Within | OneOf

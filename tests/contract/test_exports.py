@@ -1,15 +1,13 @@
-"""One controller in three languages: each file gives the same controls, documents its inputs, and checks itself."""
+"""One controller in two languages: each file gives the same controls, documents its inputs, and checks itself."""
 
 import copy
 import ctypes
-import json
 import math
 import re
 import subprocess
 import sys
 from dataclasses import replace
 from functools import cache
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -18,10 +16,10 @@ from hardware.driving.trials import RobotRunner
 from hardware.robot import find_robot
 from sysid_evo import make_controller, make_task
 from sysid_evo.controllers import Controller
-from sysid_evo.errors import InvalidArgument, MissingExtra
+from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import Champion
 from sysid_evo.evolution.champion import save_champion
-from sysid_evo.export import c_text, exported_controller, onnx_bytes, python_text
+from sysid_evo.export import c_text, exported_controller, python_text
 from sysid_evo.models import save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
@@ -32,9 +30,7 @@ from sysid_evo.testing.examples import continuous_car, switched_car
 from tests.fixtures.exports import SPECS, champion_of, decided, stepped, wandering, write
 from tests.system.rig.build import WARNINGS, compiler
 
-SAMPLES = {"python": 3000, "c": 3000, "onnx": 200}
-NEEDS_ONNX = pytest.mark.skipif(find_spec("onnx") is None, reason="the library onnx is not installed")
-LANGUAGES = ["python", "c", pytest.param("onnx", marks=NEEDS_ONNX)]
+SAMPLES = {"python": 3000, "c": 3000}
 REAL = {"double": ctypes.c_double, "float": ctypes.c_float}
 CLOCK = System(
     states=(Channel("hour", "h", period=24.0, neutral=6.0), Channel("level", "m", low=-1.0, high=3.0), Channel("flow")),
@@ -81,34 +77,7 @@ def c_step(law, real, folder):
     return decide
 
 
-def onnx_step(law, real, folder):
-    """Return the step of the ONNX model, run by onnxruntime if it is there, else by the reference of onnx."""
-    from onnx import load_from_string
-
-    content = onnx_bytes(law, real)
-    graph, number = load_from_string(content).graph, np.float64 if real == "double" else np.float32
-    if find_spec("onnxruntime") is None:
-        from onnx.reference import ReferenceEvaluator
-
-        run = ReferenceEvaluator(load_from_string(content)).run
-    else:
-        from onnxruntime import InferenceSession
-
-        run = InferenceSession(content, providers=["CPUExecutionProvider"]).run
-    names = [value.name for value in graph.output]
-    sizes = {value.name: value.type.tensor_type.shape.dim[0].dim_value for value in graph.input}
-    memory = {name: np.zeros(n, number) for name, n in sizes.items() if name != "observation"}
-
-    def step(row):
-        results = dict(zip(names, run(None, {"observation": row.astype(number), **memory}), strict=True))
-        for name in memory:
-            memory[name] = results[name.replace("memory_", "next_", 1)]
-        return results["control"]
-
-    return step
-
-
-STEP = {"python": python_step, "c": c_step, "onnx": onnx_step}
+STEP = {"python": python_step, "c": c_step}
 
 
 @cache
@@ -116,7 +85,7 @@ def commands(spec):
     return decided(champion_of(spec), wandering(max(SAMPLES.values())))
 
 
-@pytest.mark.parametrize("language", LANGUAGES)
+@pytest.mark.parametrize("language", ["python", "c"])
 @pytest.mark.parametrize("spec", SPECS)
 def test_the_file_gives_the_commands_of_the_product_over_thousands_of_samples(spec, language, tmp_path):
     seen, expected = wandering(max(SAMPLES.values())), commands(spec)
@@ -130,8 +99,6 @@ def test_the_file_gives_the_commands_of_the_product_over_thousands_of_samples(sp
     [
         ("python", "double", 1e-12, (*SPECS, "constant")),
         ("c", "float", 2e-3, (*SPECS, "constant")),
-        pytest.param("onnx", "double", 1e-12, SPECS[:1], marks=NEEDS_ONNX),
-        pytest.param("onnx", "float", 1e-4, SPECS[:1], marks=NEEDS_ONNX),
     ],
 )
 def test_continuous_controls_are_scaled_as_the_product_does_but_for_rounding(language, real, off, specs, tmp_path):
@@ -229,22 +196,6 @@ def test_the_python_file_names_what_it_takes_and_gives_with_units():
         assert line in text
 
 
-@NEEDS_ONNX
-def test_the_onnx_model_holds_its_sample_time_and_inputs():
-    from onnx import load_from_string
-
-    model = load_from_string(onnx_bytes(exported_controller(champion_of("linear"))))
-    described = {item.key: item.value for item in model.metadata_props}
-    assert described["dt"] == "0.05"
-    assert json.loads(described["observations"])[3].startswith("3  waypoint_angle     rad")
-
-
-def test_without_the_library_onnx_the_error_names_the_package(monkeypatch):
-    monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(MissingExtra, match="export --to onnx needs the package 'onnx'"):
-        onnx_bytes(exported_controller(champion_of("linear")))
-
-
 def test_a_name_that_would_end_the_remark_does_not():
     law = exported_controller(champion_of("linear", name='a"""\\ */ b'))
     assert law.name == "a_b" or law.name.isidentifier()
@@ -333,9 +284,7 @@ def stored(tmp_path):
     return save_champion(champion_of("recurrent"), tmp_path / "champion")
 
 
-@pytest.mark.parametrize(
-    ("to", "suffix"), [("python", ".py"), ("c", ".c"), pytest.param("onnx", ".onnx", marks=NEEDS_ONNX)]
-)
+@pytest.mark.parametrize(("to", "suffix"), [("python", ".py"), ("c", ".c")])
 def test_the_command_names_the_file_and_how_to_use_it_and_overwrites_none(to, suffix, stored, tmp_path, call):
     done = call("export", stored, "--to", to)
     assert done.code == 0
@@ -356,6 +305,6 @@ def test_it_may_be_called_otherwise_in_its_file(stored, tmp_path, call):
 
 
 def test_wrong_words_are_refused_with_those_that_would_do(stored, call):
-    assert call("export", stored, "--to", "java").says("--to: expected python, c, onnx, got 'java'")
+    assert call("export", stored, "--to", "java").says("--to: expected python, c, got 'java'")
     wrong = call("export", stored, "--to", "c", "--real", "half")
     assert (wrong.code, wrong.says("--real: expected double or float, got 'half'")) == (2, True)

@@ -1,4 +1,4 @@
-"""Commands of recordings, models and studies: import, inspect, fit, models, adapt, tune, study."""
+"""Commands of recordings, models and studies: import, inspect, fit, models, adapt, study."""
 
 import json
 import re
@@ -204,15 +204,6 @@ def test_without_a_change_adapt_reports_it_and_tries_a_refit_with_train(floors, 
     blocks = {row["correction"]: len(row["blocks"]) for row in told["candidates"]}
     assert all(count == 3 for name, count in blocks.items() if name.count("ridge") == 1 and " and " not in name)
     assert blocks["fit to the new data"] < 3  # it is no better in the first
-
-
-def test_tune_prints_the_spec_to_use_and_continues_in_the_same_folder(call, stored_data):
-    command = ("tune", "linear(intercept=true)", "--data", stored_data, "--horizon", "10", "--out", "out")
-    assert call.works(*command, "--trials", "3").stdout.splitlines()[-1].startswith("linear(intercept=true, ")
-    found = call.told(*command, "--trials", "5", "--json")
-    assert len(found["trials"]) == 5
-    assert found["horizons"] == [10]
-    assert found["best"] == found["trials"][0]["spec"]
 
 
 def study(folder, *, models='"linear", "nearest_neighbour"', robots='"emulated_car"', seeds="[0, 1]", more=""):

@@ -17,9 +17,9 @@ from tests.layout import (
 
 HEAVY = {
     "cobs", "control", "cvxpy", "distributed", "filelock", "gymnasium", "joblib", "lightgbm",
-    "matplotlib", "motioncapture", "mujoco", "natnet", "onnx", "onnxruntime", "optuna", "packaging", "pandas", "psutil",
+    "matplotlib", "motioncapture", "mujoco", "natnet", "packaging", "pandas", "psutil",
     "pyarrow", "pysindy", "ribs", "rich", "scipy", "serial", "skops", "sklearn", "starlette", "torch", "torchdiffeq",
-    "uvicorn", "websockets", "xarray", "xgboost",
+    "uvicorn", "websockets", "xgboost",
 }  # fmt: skip
 """Packages that a function may import, since loading them takes long or they are an extra."""
 

@@ -18,9 +18,9 @@ from sysid_evo.settings import seconds
 from sysid_evo.testing import example_dataset
 
 ARGUMENTS = {"fit": ["car"], "study": ["s.toml"], "inspect": ["car"], "import": ["logs"], "adapt": ["m"],
-             "tune": ["linear"], "exploit": ["m"], "transfer": ["c"], "export": ["c"], "report": ["run"]}  # fmt: skip
+             "exploit": ["m"], "transfer": ["c"], "export": ["c"], "report": ["run"]}  # fmt: skip
 """What stands besides options; values of options are those below, else 1."""
-NEEDED = {"tune": ["--data", "car"], "import": ["--out", "new"], "adapt": ["--data", "car", "--out", "new"],
+NEEDED = {"import": ["--out", "new"], "adapt": ["--data", "car", "--out", "new"],
           "record": ["--out", "new"], "evolve": ["--against", "linear"], "transfer": ["--on", "linear"],
           "export": ["--to", "c"]}  # fmt: skip
 VALUES = {"stop-after": "prediction", "procedure": "plain", "to": "python", "seconds": "5"}
@@ -36,7 +36,6 @@ TOGETHER = {
     "evolve": {("scheduler", "jobs")},
     "study": {("scheduler", "jobs"), ("render", "jobs"), ("render", "scheduler"), ("render", "dry-run")},
     "record": {("manoeuvre", "minutes")},
-    "tune": {("trials", "budget")},
     "export": {("to", "real")},
     "drive": {("model", "robot"), ("controller", "host"),
               ("controller", "port")},
@@ -187,7 +186,7 @@ def test_a_text_that_is_no_time_is_an_error(text):
         ("sysid-evo evolve --run r", {"runs/old", "runs/new"}),
         ("sysid-evo report ", {"runs/old", "runs/new"}),
         ("sysid-evo evolve --against emulated_car,my", {"emulated_car,my_model"}),
-        ("sysid-evo export c --to ", {"python", "c", "onnx"}),
+        ("sysid-evo export c --to ", {"python", "c"}),
     ],
 )
 def test_the_shell_completes_commands_and_values(words, expected, tmp_path, monkeypatch):

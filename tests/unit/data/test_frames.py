@@ -1,11 +1,11 @@
-"""Data sets as tables of pandas and labelled arrays of xarray."""
+"""Data sets as tables of pandas."""
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from sysid_evo.data import Dataset, Trajectory
-from sysid_evo.errors import InvalidData, MissingExtra
+from sysid_evo.errors import InvalidData
 from sysid_evo.system import Channel, System
 
 LINE = System((Channel("place", "m"), "speed"), (Channel("push", "N"),), 0.1, name="line")
@@ -77,30 +77,7 @@ def test_the_pose_goes_into_the_table_and_comes_back(car, rng):
     assert without[["x", "y", "heading"]].isna().all(axis=None)
 
 
-@pytest.mark.parametrize(("name", "way"), [("time", Dataset.to_pandas), ("length", Dataset.to_xarray)])
-def test_a_channel_named_like_another_column_is_refused(name, way):
-    data = Dataset.from_arrays(System((name,), (), 0.1), np.arange(4.0))
-    with pytest.raises(InvalidData, match=rf"the channels {name} cannot become columns.*rename the channels"):
-        way(data)
-
-
-def test_labelled_arrays_have_units_roles_and_end_in_nan_where_an_episode_is_shorter():
-    data = two_runs()
-    labelled = data.to_xarray()
-    assert labelled["place"].dims == ("episode", "time")
-    assert labelled["place"].attrs == {"role": "state", "units": "m"}
-    assert labelled["push"].attrs == {"role": "control", "units": "N"}
-    assert labelled["speed"].attrs == {"role": "state"}
-    assert labelled.attrs == {"dt": 0.1, "system": "line"}
-    assert labelled["length"].values.tolist() == [6, 3]
-    assert labelled["condition"].values.tolist() == ["l", "s"]
-    np.testing.assert_array_equal(labelled["speed"].sel(episode="short").values[:3], data.episodes[1].states[:, 1])
-    assert np.isnan(labelled["speed"].sel(episode="short").values[3:]).all()
-    np.testing.assert_array_equal(labelled["push"].sel(episode="long").values[:5], data.episodes[0].controls[:, 0])
-    np.testing.assert_allclose(labelled["time"], 0.1 * np.arange(6))
-
-
-def test_without_xarray_the_error_shows_how_to_install_it(monkeypatch):
-    monkeypatch.setattr("sysid_evo.extras.find_spec", lambda name: None)
-    with pytest.raises(MissingExtra, match=r'Dataset.to_xarray needs .*pip install "sysid-evo\[xarray\]"'):
-        two_runs().to_xarray()
+def test_a_channel_named_like_another_column_is_refused():
+    data = Dataset.from_arrays(System(("time",), (), 0.1), np.arange(4.0))
+    with pytest.raises(InvalidData, match=r"the channels time cannot become columns.*rename the channels"):
+        data.to_pandas()
