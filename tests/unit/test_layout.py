@@ -31,9 +31,9 @@ def _parsed():
 
 
 def test_there_are_few_modules_and_few_lines():
-    assert len(contents()) <= 336
+    assert len(contents()) <= 342
     assert len(lists()) <= 42
-    assert sum(map(lines_of, contents() + lists())) <= 75_650
+    assert sum(map(lines_of, contents() + lists())) <= 77_400
 
 
 def test_no_module_is_longer_than_can_be_read_at_once():
@@ -45,7 +45,7 @@ def test_no_modules_import_each_other_in_a_round():
 
 
 def test_imports_stand_at_the_top():
-    assert len(late_imports()) <= 40, late_imports()
+    assert len(late_imports()) <= 20, late_imports()
 
 
 def test_functions_import_heavy_packages_only():
