@@ -107,7 +107,7 @@ class Execution:
         self.ready_here: list[tuple[tuple[float, int], Cell]] = []  # for this process
         self.busy: list[tuple[float, Cell]] = []  # cells that another process computes, and when to check again
         self.sent: dict[Future[Any], Cell] = {}
-        self.last_progress = 0.0
+        self.last_progress = time.monotonic()
         kept = {cell for cell in plan if store.done(cell) and not store.without(cell)}
         self.remark()
         self.left = [cell for cell in plan if cell not in kept]
@@ -132,6 +132,14 @@ class Execution:
         ahead = {} if workers is None else critical_path(self.plan)
         self.rank = {cell.digest: (-ahead.get(cell.digest, 0.0), i) for i, cell in enumerate(self.plan)}
         self._schedule([cell for cell in self.left if not self.open[cell.digest]])
+        try:
+            self._work(workers)
+        except KeyboardInterrupt:
+            if workers is not None:
+                self._show_progress(workers)  # the observer names what is interrupted, also what has just begun
+            raise
+
+    def _work(self, workers: Workers | None) -> None:
         while self.ready or self.ready_here or self.busy or self.sent:
             while self.busy and self.busy[0][0] <= time.monotonic():
                 self._push(self.busy.pop(0)[1])
@@ -215,10 +223,13 @@ class Execution:
             else:
                 self._finish(cell, end)
         if time.monotonic() - self.last_progress >= POLL_INTERVAL:
-            self.last_progress = time.monotonic()
-            for cell, done, total, note in workers.progress():
-                self._start(cell)
-                self.observer.progress(cell, done, total, note)
+            self._show_progress(workers)
+
+    def _show_progress(self, workers: Workers) -> None:
+        self.last_progress = time.monotonic()
+        for cell, done, total, note in workers.progress():
+            self._start(cell)
+            self.observer.progress(cell, done, total, note)
 
     def _start(self, cell: Cell) -> None:
         if cell.digest not in self.started:

@@ -124,6 +124,7 @@ def ctrl_c(condition):
 def test_ctrl_c_ends_fits_in_good_order_and_the_same_command_goes_on(jobs, last, kept, call, stored_data, monkeypatch):
     """Side by side, the processes run the plugin that is given, unasked, and nothing else of the current folder."""
     monkeypatch.setenv("XDG_STATE_HOME", "/proc")  # no decision on a plugin can be remembered
+    monkeypatch.setattr("sysid_evo.plan.executors.POLL_INTERVAL", 60.0)  # s; what has just begun is named as well
     for name in ("json.py", "numpy.py"):
         (call.folder / name).write_text("open('not_ours', 'w')\n")
     (call.folder / "mine.py").write_text(FAMILIES)
