@@ -151,7 +151,8 @@ def test_that_comes_first_on_whose_result_most_work_waits(tmp_path):
     assert asked == ["first", "short", "middle", "shorter", "end"]
 
 
-def test_the_observer_hears_once_that_a_cell_starts_and_never_of_a_stored_one(tmp_path):
+def test_the_observer_hears_once_that_a_cell_starts_and_never_of_a_stored_one(tmp_path, monkeypatch):
+    monkeypatch.setattr("sysid_evo.plan.executors.POLL_INTERVAL", 0.0)
     told = []
 
     class Told(Watching):
