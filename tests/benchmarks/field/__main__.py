@@ -84,7 +84,8 @@ def compared(system: str, seed: int, models: Sequence[str], folder: Path, settin
 
 def row_of(label: str, report: ComparisonResults, model: DynamicsModel | None) -> tuple[str, list[float], str]:
     """Return what a comparison found for one model, which is None if it could not be fitted."""
-    scored = None if report.prediction is None else next(m for m in report.prediction.models if m.name == label)
+    predicted = () if report.prediction is None else report.prediction.models
+    scored = next((one for one in predicted if one.name == label), None)  # none if it could not be fitted
     scores = [None if scored is None else scored.score(horizon) for horizon in HORIZONS]
     errors = [np.nan if score is None else score.n for score in scores]
     seconds = report.timings.get(f"fit {label}", np.nan)

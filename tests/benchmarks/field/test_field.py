@@ -54,6 +54,14 @@ def test_a_model_with_a_hidden_state_is_stored_and_simulates_the_same(name, tmp_
     np.testing.assert_array_equal(load_model(tmp_path / "model").simulate(episode), model.simulate(episode))
 
 
+def test_a_network_is_fitted_to_short_episodes_with_a_short_history():
+    pytest.importorskip("deepSI")
+    long = recording(second_order, 500).episodes[0]
+    short = Dataset(SYSTEM, tuple(long[20 * i : 20 * i + 20] for i in range(20)))
+    model = make_model("deepsi_subnet", updates=2).fit(short, rng=0)
+    assert model.n_lags == 6
+
+
 @pytest.mark.nightly
 def test_the_command_prints_a_row_for_each_package(tmp_path, capsys):
     for package in ("sysidentpy", "pydmd"):
