@@ -41,6 +41,11 @@ class RecordingRound:
     errors: Mapping[str, float]
 
     @property
+    def judged_steps(self) -> IntArray:
+        """Steps of the judged episodes, the last ones."""
+        return self.steps[-len(self.achieved) :]
+
+    @property
     def holds(self) -> bool:
         """Whether the episodes achieve what the models claimed, up to a tenth of it and two standard errors."""
         claimed, achieved = float(self.claimed.mean()), float(self.achieved.mean())
@@ -71,6 +76,11 @@ class RoundsSummary:
         return self.first + sum(int(one.steps.sum()) for one in self.rounds)
 
 
+def best_round(known: Sequence[RecordingRound]) -> RecordingRound | None:
+    """Return the round with the highest mean fitness in its judged episodes, None without any."""
+    return max(known, key=lambda one: float(one.achieved.mean()), default=None)
+
+
 def reason_to_end(known: Sequence[RecordingRound], last: RecordingRound, steps: int) -> str:
     """Return why no round follows ``last``, empty if one does; ``known`` are those before it.
 
@@ -81,8 +91,8 @@ def reason_to_end(known: Sequence[RecordingRound], last: RecordingRound, steps: 
     if len(last.achieved) < len(last.steps):
         return ""
     settled = bool((last.steps >= steps).all()) or min(last.errors.values(), default=np.inf) <= PREDICTS
-    if not known or not known[-1].holds or not last.holds or not settled:
+    best = best_round(known)
+    if best is None or not known[-1].holds or not last.holds or not settled:
         return ""
-    best = max(known, key=lambda one: float(one.achieved.mean()))
     gains = float(last.achieved.mean()) > best.no_gain_over
     return "" if gains else "the claims of two rounds held, and the last one gained nothing"

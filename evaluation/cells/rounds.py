@@ -15,12 +15,13 @@ from evaluation.cells.learned_task import LearnTask, learned_task, needed
 from evaluation.cells.models import Fit
 from evaluation.cells.plants import ROLLOUT_STEPS_PER_SECOND, Plant, fitted, labels_of, runners
 from evaluation.experiment import Experiment, default_task
-from evaluation.rounds import ERROR_STEPS, SHORT_EPISODE, RecordingRound, RoundsSummary, reason_to_end
+from evaluation.rounds import ERROR_STEPS, SHORT_EPISODE, RecordingRound, RoundsSummary, best_round, reason_to_end
 from evaluation.storage import load_result, save_result
-from sysid_evo.controllers.controller import make_controller
+from sysid_evo.controllers.controller import Controller, make_controller
 from sysid_evo.controllers.linear import Exploring
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.engine import DynamicsRunner, Rollouts
+from sysid_evo.engine.rollout import BoundRunner
 from sysid_evo.errors import Blocked, InvalidArgument, InvalidData
 from sysid_evo.evolution import Champion, ControllerEvolution, Finalist, Scores, evolve_controller
 from sysid_evo.evolution.aggregates import make_aggregate
@@ -30,13 +31,16 @@ from sysid_evo.plan import CELL_KINDS, Cell, CellContext, CellKind, CellSettings
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import Spec, make_robot, models
 from sysid_evo.tasks.task import make_task
-from sysid_evo.types import Array, IntArray
+from sysid_evo.types import Array, IntArray, Seeds
 
 ROUND_STEPS, EPISODE_STEPS = 1000, 100
-"""Most steps of a round, and of one of its episodes."""
-BEYOND = 1.2
-"""Horizon of the evolution as a multiple of the episodes of a round."""
-FEWEST_EPISODES = 2
+"""Steps after which a round records no further episode, and most steps of an episode that is not judged."""
+FEWEST_EPISODES = 3
+"""Number of judged episodes at least, however long they last."""
+LONGEST_SHARE = 0.05
+"""Most steps of a judged episode, as a share of all recorded steps."""
+SEARCH_STEPS, BEYOND = 120, 1.2
+"""Horizon of the evolution at least, and as a multiple of the steps for which the best controller so far lasts."""
 DEFAULT_ROUNDS, MORE_ROUNDS = 6, 10
 """Number of rounds by default: if trials end early, and if the reward is learned."""
 NEARER = 0.1
@@ -108,8 +112,9 @@ class Round(CellSettings):
 
     The evolution starts from the best controller so far, other runs from the beginning. ``noise`` is that of
     `Exploring`, in a share ``noisy_share`` of the episodes. The others have the same starts in every round, and their
-    fitness alone is compared. No round follows one that gives a `reason_to_end`, or if fewer than `FEWEST_EPISODES`
-    episodes are left of ``max_steps`` recorded steps in all.
+    fitness alone is compared. Judged episodes last as long as the trial, up to `LONGEST_SHARE` of ``max_steps``: a
+    controller that lasts is recorded in fewer and longer episodes, and returns of all rounds are comparable. No round
+    follows one that gives a `reason_to_end`, or if it might exceed ``max_steps`` recorded steps in all.
     """
 
     number: int
@@ -126,7 +131,7 @@ class Round(CellSettings):
 
     def cell(self) -> Cell[Round]:
         """Return the cell of the round."""
-        evolution, steps = self.evolution, BEYOND * EPISODE_STEPS
+        evolution, steps = self.evolution, SEARCH_STEPS
         rollouts = evolution.repeats * evolution.generations * evolution.trials * 50 * len(self.specs)
         fits = (Fit(spec, self.data, self.seed, self.preset).cell() for spec in self.specs)
         return Cell(
@@ -137,7 +142,7 @@ class Round(CellSettings):
             needs=(self.data if self.previous is None else self.previous,),
             expected_seconds=sum(fit.expected_seconds for fit in fits)
             + 10.0 * rollouts * steps / ROLLOUT_STEPS_PER_SECOND
-            + ROUND_STEPS * self.robot.step_seconds(),
+            + max(ROUND_STEPS, FEWEST_EPISODES * LONGEST_SHARE * self.max_steps) * self.robot.step_seconds(),
         )
 
     def inputs(self) -> dict[str, Any]:
@@ -148,7 +153,7 @@ class Round(CellSettings):
             **identity_of(self.evolution),
             "repeats": self.evolution.repeats,
             "command_noise": [self.noise, self.noisy_share],
-            "episodes": [ROUND_STEPS, EPISODE_STEPS, BEYOND],
+            "episodes": [ROUND_STEPS, EPISODE_STEPS, FEWEST_EPISODES, LONGEST_SHARE, SEARCH_STEPS, BEYOND],
             "max_steps": self.max_steps,
             "seed": self.seed,
         }
@@ -157,8 +162,9 @@ class Round(CellSettings):
         before = RoundsSoFar.before_any(work.result(self.data)) if self.previous is None else work.result(self.previous)
         summary, dataset = before.summary, before.dataset
         longest = make_task(self.evolution.task).bind(dataset.system).horizon
-        steps = min(EPISODE_STEPS, longest)
-        episodes = min(ROUND_STEPS, self.max_steps - summary.steps) // steps
+        whole = max(1, min(longest, round(LONGEST_SHARE * self.max_steps)))
+        short = min(EPISODE_STEPS, whole)
+        episodes = min(ROUND_STEPS, self.max_steps - summary.steps - FEWEST_EPISODES * whole) // short
         if summary.ended:
             return before
         if episodes < FEWEST_EPISODES:
@@ -166,56 +172,77 @@ class Round(CellSettings):
         goal = recorded_task(self.evolution.task, dataset)
         learned = {spec.label: Fit(spec, self.data, self.seed, self.preset).learn(dataset) for spec in self.specs}
         known: Sequence[RecordingRound] = summary.rounds
-        best = max(known, key=lambda one: float(one.achieved.mean()), default=None)
+        best = best_round(known)
         champion = evolve_controller(
             f"round {self.number}",
             learned,
             dataset.system,
-            in_trials_of(continued(self.evolution, best), goal, longest),
+            in_trials_of(continued(self.evolution, best), goal, search_horizon(known, longest)),
             seed=cell_seed(self.seed, f"round {self.number}"),
             initial=None if best is None else best.parameters,
             progress=work.progress,
         )
-        task, law = make_task(with_horizon(goal, steps)), make_controller(champion.controller)
-        noisy = round(self.noisy_share * episodes)
-        seed = cell_seed(self.seed, "rounds")
-        conditions = [
-            (Exploring(law, self.noise), trial_seeds(seed, noisy, generation=self.number)),
-            (law, trial_seeds(seed, episodes - noisy)),
-        ]
-        conditions = [condition for condition in conditions if len(condition[1])]
-        robot = self.robot.runner(work, delay=0.0)
-        driven = [
-            robot.bind(driver, task)(champion.parameters[None], seeds, record=True) for driver, seeds in conditions
-        ]
+        law, robot = make_controller(champion.controller), self.robot.runner(work, delay=0.0)
+        noisy, seed = round(self.noisy_share * episodes), cell_seed(self.seed, "rounds")
+        explored: list[Rollouts] = []
+        driver: Controller = Exploring(law, self.noise)
+        seeds = trial_seeds(seed, noisy, generation=self.number)
+        if self.noisy_share < 1.0:
+            explorer = robot.bind(driver, make_task(with_horizon(goal, short)))
+            explored = record_until(explorer, champion.parameters, seeds, noisy * short)
+            driver, seeds = law, trial_seeds(seed, max(FEWEST_EPISODES, episodes - noisy))
+        judge = make_task(with_horizon(goal, whole))
+        judged = record_until(robot.bind(driver, judge), champion.parameters, seeds, len(seeds) * short)
+        driven, seeds = [*explored, *judged], seeds[: len(judged)]
         recorded = [run for one in driven for run in one.trajectories]
         new = [replace(run, name=f"round-{self.number}-{i + 1}") for i, run in enumerate(recorded)]
         if not new:
             raise InvalidData(f"round {self.number}: no step was recorded on {self.robot.label}")
-        driver, seeds = conditions[-1]
-        claims = [DynamicsRunner(one).bind(driver, task)(champion.parameters[None], seeds) for one in learned.values()]
+        claims = [DynamicsRunner(one).bind(driver, judge)(champion.parameters[None], seeds) for one in learned.values()]
         made = RecordingRound(
             number=self.number,
             controller=champion.controller.text,
             parameters=champion.parameters,
             claimed=_claimed(claims, self.evolution.aggregate),
-            achieved=driven[-1].fitness[0],
+            achieved=np.concatenate([one.fitness[0] for one in judged]),
             steps=np.concatenate([one.survived[0] for one in driven]),
             errors={label: error_ahead(model, dataset, new) for label, model in learned.items()},
         )
-        ended = reason_to_end(known, made, steps)
+        ended = reason_to_end(known, made, whole)
         summary = replace(summary, rounds=(*known, made), ended=ended)
         return RoundsSoFar(dataset.with_episodes([*dataset.episodes, *new]), summary)
 
 
-def in_trials_of(evolution: ControllerEvolution, task: Spec, longest: int) -> ControllerEvolution:
-    """Return ``evolution`` at ``task`` in trials of `BEYOND` times `EPISODE_STEPS` steps, at most the ``longest``.
+def record_until(drive: BoundRunner, parameters: Array, seeds: Seeds, steps: int) -> list[Rollouts]:
+    """Return the recorded episodes of ``seeds`` (E,), in their order, the first that have ``steps`` steps in all.
 
-    The fewer steps, the more generations, so that the search simulates as many steps.
+    They are at least `FEWEST_EPISODES` if there are as many seeds.
     """
-    usual = round(BEYOND * EPISODE_STEPS)
-    horizon = min(usual, longest)
-    generations = evolution.generations * usual // horizon
+    driven: list[Rollouts] = []
+    for k in range(len(seeds)):
+        if k < FEWEST_EPISODES or sum(int(run.survived.sum()) for run in driven) < steps:
+            driven.append(drive(parameters[None], seeds[k : k + 1], record=True))
+    return driven
+
+
+def search_horizon(known: Sequence[RecordingRound], longest: int) -> int:
+    """Return the horizon of the evolution, `BEYOND` the mean end of the judged episodes of the best round.
+
+    Models then show what ends them. It is at least `SEARCH_STEPS`, and at most the ``longest``. Where all episodes last
+    equally long, nothing ends them, and it is `SEARCH_STEPS`.
+    """
+    best = best_round(known)
+    if best is None or len(np.unique(np.concatenate([one.judged_steps for one in known]))) == 1:
+        return min(SEARCH_STEPS, longest)
+    return min(max(SEARCH_STEPS, round(BEYOND * float(best.judged_steps.mean()))), longest)
+
+
+def in_trials_of(evolution: ControllerEvolution, task: Spec, horizon: int) -> ControllerEvolution:
+    """Return ``evolution`` at ``task`` in trials of ``horizon`` steps.
+
+    The fewer steps, the more generations, so that the search simulates as many steps; at least half of the generations.
+    """
+    generations = max(evolution.generations // 2, evolution.generations * SEARCH_STEPS // horizon, 1)
     return replace(evolution, task=with_horizon(task, horizon), generations=generations)
 
 
@@ -390,5 +417,5 @@ def _load(path: Path) -> RoundsSoFar:
     return RoundsSoFar(Dataset.load(path / "data"), load_result(RoundsSummary, path / "rounds"))
 
 
-CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=2)
-CELL_KINDS["choose_round"] = CellKind(CONTROLLERS, version=2, tolerant=True)
+CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=3)
+CELL_KINDS["choose_round"] = CellKind(CONTROLLERS, version=3, tolerant=True)

@@ -27,11 +27,14 @@ def test_every_round_is_recorded_under_its_controller_and_what_it_achieves_is_ke
     folder, report = run
     first, second = report.rounds.rounds
     assert report.rounds.steps == report.rounds.first + first.steps.sum() + second.steps.sum()
-    assert (len(first.achieved), len(first.steps)) == (6, 10)  # four episodes have noise on the commands
+    assert len(first.steps) - len(first.achieved) == 4  # with noise on the commands, of at most 100 steps
+    assert first.steps[:4].max() <= 100
+    assert 100 < first.steps[4:].max() <= 250  # a twentieth of all
+    assert len(first.achieved) == 3  # fewer, as they last longer
     np.testing.assert_array_equal(first.achieved, first.steps[4:])  # 1 for every step until the pole falls
     assert set(first.errors) == {"linear", "nearest_neighbour"}
     names = [episode.name for part in (report.data.training, report.data.test) for episode in part]
-    assert sum(name.startswith("round-2-") for name in set(names)) == 10
+    assert sum(name.startswith("round-2-") for name in set(names)) == len(second.steps)
     chosen = load_champion((folder / report.controllers["rounds"]).with_suffix(""))
     most = max(one.achieved.mean() for one in report.rounds.rounds)
     best = [one.parameters for one in report.rounds.rounds if one.achieved.mean() >= 0.99 * most]
@@ -43,8 +46,8 @@ def test_episodes_without_noise_begin_the_same_in_all_rounds_and_those_with_nois
     folder, _ = run
     (whole,) = (Dataset.load(path / "data") for path in (folder / "rounds").glob("round-2-*"))
     begins = {episode.name: episode.states[0] for episode in whole}
-    same = [np.array_equal(begins[f"round-1-{i}"], begins[f"round-2-{i}"]) for i in range(1, 11)]
-    assert same == [False] * 4 + [True] * 6
+    same = [np.array_equal(begins[f"round-1-{i}"], begins[f"round-2-{i}"]) for i in range(1, 8)]
+    assert same == [False] * 4 + [True] * 3
 
 
 @pytest.mark.nightly

@@ -5,7 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.cells.rounds import ChooseRound, Round, RoundData, RoundsSoFar, continued, error_ahead, in_trials_of
+from evaluation.cells.rounds import (
+    ChooseRound,
+    Round,
+    RoundData,
+    RoundsSoFar,
+    continued,
+    error_ahead,
+    in_trials_of,
+    record_until,
+    search_horizon,
+)
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
 from evaluation.report.report import brief, to_html
@@ -14,6 +24,7 @@ from evaluation.report.sections.rounds import rounds_sentence, rounds_table
 from evaluation.rounds import RecordingRound, RoundsSummary, reason_to_end
 from evaluation.running import with_further_families
 from sysid_evo.data import Dataset
+from sysid_evo.engine import Rollouts
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import ControllerEvolution
 from sysid_evo.plan import Store
@@ -107,11 +118,42 @@ def test_a_run_that_only_continues_has_a_tenth_of_its_sigma_and_one_from_the_beg
     assert sigmas == pytest.approx([0.03, 0.3])
 
 
-def test_shorter_trials_get_more_generations_of_the_same_number_of_steps():
+def test_trials_of_the_evolution_with_fewer_steps_get_more_generations():
     task, evolution = Spec.parse('environment(id="CartPole-v1")'), ControllerEvolution(generations=50)
-    for longest, horizon, generations in ((500, 120, 50), (50, 50, 120), (120, 120, 50)):
-        found = in_trials_of(evolution, task, longest)
+    for horizon, generations in ((50, 120), (120, 50), (160, 37), (500, 25)):
+        found = in_trials_of(evolution, task, horizon)
         assert (found.task.parameters["horizon"], found.generations) == (horizon, generations)
+
+
+def test_the_evolution_looks_beyond_the_end_of_the_best_judged_episodes():
+    assert search_horizon([], 1000) == 120
+    assert search_horizon([], 50) == 50
+    low, level, ends = made(1, [0.0] * 3, [0.0] * 3, steps=[9, 9, 9]), [1.0] * 3, [350, 400, 300]
+    assert search_horizon([made(2, level, level, steps=ends), low], 1000) == 420
+    assert search_horizon([low, made(2, level, level, steps=[5, 5, *ends])], 1000) == 420  # two are not judged
+    assert search_horizon([low, made(2, level, level, steps=ends)], 400) == 400
+    assert search_horizon([low, made(2, level, level, steps=[30, 40, 20])], 1000) == 120
+
+
+def test_the_evolution_looks_no_farther_where_nothing_ends_episodes():
+    whole = made(1, [1.0] * 3, [1.0] * 3, steps=[1000] * 3)
+    assert search_horizon([whole], 1000) == 120
+    assert search_horizon([whole, made(2, [0.0] * 3, [0.0] * 3, steps=[1000, 700, 1000])], 1000) == 1000
+
+
+@pytest.mark.parametrize(("lasts", "episodes"), [(30, 10), (150, 7), (400, 3), (1000, 3)])
+def test_the_longer_a_controller_lasts_the_fewer_episodes_are_recorded(lasts, episodes):
+    began = []
+
+    def drive(parameters, seeds, *, record):
+        began.extend(seeds)
+        return Rollouts(
+            fitness=np.ones((1, 1)), survived=np.full((1, 1), lasts), clipped=None, task_state=None, engine=""
+        )
+
+    driven = record_until(drive, np.zeros(2), np.arange(10), 1000)
+    assert len(driven) == episodes
+    np.testing.assert_array_equal(began, np.arange(episodes))
 
 
 def test_rounds_need_a_robot_that_is_a_program():
