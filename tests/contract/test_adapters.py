@@ -20,6 +20,8 @@ from sysid_evo.models.adapters import as_spec, model_texts
 from sysid_evo.registry import adapters, models
 from sysid_evo.registry.objects import keep_object, kept_object, objects_named, receive_objects
 
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
 
 class Gain:
     """An object of a package that knows nothing of this project."""

@@ -28,6 +28,8 @@ from sysid_evo.tasks.task import learn_task, make_task
 from sysid_evo.testing import check_task
 from tests.fixtures import environments
 
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
 ROTOR, SLIDER = "Rotor-v0", "Slider-v0"
 
 

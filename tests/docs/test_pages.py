@@ -90,7 +90,6 @@ BUDGETS = {
     "hidden_state.md": {"horizon=100)": "horizon=100) and make_model('linear', state_lags=2)"},
     "extending/model.md": {'check_model("bilinear")\n': ""},
     "extending/kernels.md": {', "damped_lifted", "damped_block"):': ",):"},
-    "models.md": {PAGES["models.md"].blocks("python")[2].text: ""},  # torch, which takes seconds to import
     "adaptation.md": {
         '"sindy", degree=2': '"linear"',
         'adapt(Dataset.read("logs/"))': 'adapt(Dataset.read("logs/episode-0.csv"))',

@@ -25,7 +25,10 @@ from sysid_evo.registry import models, robots
 from sysid_evo.tasks.task import make_task
 from sysid_evo.testing import ExampleDynamics, example_dataset
 from sysid_evo.testing.examples import switched_car
+from tests.fixtures.session import without_figures
 from tests.fixtures.systems import FloorCar, drive
+
+pytestmark = pytest.mark.usefixtures("blank_figures")
 
 SHORT = {
     "generations": 1, "trials": 2, "selection_trials": 2, "transfer_trials": 3, "traces": 0, "held_out": 0.3,
@@ -239,6 +242,7 @@ LABELLED = {
 
 
 @pytest.fixture(scope="module")
+@without_figures()
 def labelled(tmp_path_factory):
     """One model under two labels, a robot with a label and a controller evolved on it, models in controllers."""
     folder, watching = tmp_path_factory.mktemp("labelled"), Watching()

@@ -31,6 +31,8 @@ from tests.fixtures.dask_cluster import LIMIT, ROOT, Processes
 from tests.fixtures.deeds import LADDER, diary, eventually, lines, planned, processes
 from tests.fixtures.studies import finished, found_in
 
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
 
 @pytest.fixture(autouse=True)
 def _patient(monkeypatch):

@@ -16,6 +16,8 @@ from sysid_evo.plan import Store, execute
 from sysid_evo.registry import models
 from tests.fixtures.recordings import oscillator_data
 
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
 FAR = "far"
 
 

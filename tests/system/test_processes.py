@@ -21,6 +21,8 @@ from sysid_evo.testing import example_dataset
 from tests.fixtures.cells import Number, Watching, number
 from tests.fixtures.deeds import LADDER, diary, eventually, gone, lines, planned, processes, shared
 
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
 ROOT = Path(__file__).parents[2]
 INTERRUPTIBLE = """
 import signal

@@ -9,6 +9,7 @@ from evaluation.running import compare
 from sysid_evo.artefacts import read_artefact
 from sysid_evo.data import Dataset
 from sysid_evo.evolution.champion import load_champion
+from tests.fixtures.session import without_figures
 
 SMALL = {
     "robot": 'gymnasium(id="CartPole-v1")', "rounds": 2, "models": ("linear", "nearest_neighbour"), "minutes": 0.3,
@@ -18,6 +19,7 @@ SMALL = {
 
 
 @pytest.fixture(scope="module")
+@without_figures()
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rounds")
     return folder, compare(out=folder, jobs=1, **SMALL)

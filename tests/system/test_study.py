@@ -26,6 +26,8 @@ from tests.fixtures.commands import COMMAND, run_here
 from tests.fixtures.session import STUDY
 from tests.fixtures.studies import finished, found_in
 
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
 
 class Computed(Observer):
     """Remembers which cells were computed."""

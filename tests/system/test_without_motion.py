@@ -33,6 +33,7 @@ def report(request, tmp_path_factory):
     return report_of(comparison, store), folder
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_every_part_of_the_report_is_there(report):
     found, folder = report
     assert found.all_failures == ()

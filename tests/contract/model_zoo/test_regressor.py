@@ -33,6 +33,8 @@ from sysid_evo.errors import ArtefactError, InvalidArgument, MissingExtra, Unkno
 from sysid_evo.models.adapters import as_spec
 from tests.fixtures.systems import chain
 
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
 skops = pytest.importorskip("skops.io")
 
 NO_LAGS = {"state_lags": 0, "control_lags": 0}

@@ -15,7 +15,7 @@ VALUES = st.recursive(SCALARS, lambda inner: st.lists(inner, max_size=3), max_le
 NAMES = st.text("abfinorsx_01", min_size=1, max_size=9).filter(lambda name: name.isidentifier() and not iskeyword(name))
 
 
-@settings(derandomize=True, database=None)
+@settings(derandomize=True, database=None, max_examples=40)
 @given(NAMES, st.dictionaries(NAMES, VALUES, max_size=3), NAMES)
 def test_what_is_written_is_read_again(name, parameters, label):
     spec = Spec(name, parameters, label)

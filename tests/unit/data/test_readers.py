@@ -67,8 +67,13 @@ def test_a_parquet_file_that_declares_too_many_rows_is_refused_before_it_is_read
         with pytest.raises(InvalidData, match=r"log.parquet: declares 25000000 rows, more than the 20000000 that are"):
             read(path, ["t"])
     assert pa.default_memory_pool().max_memory() == used
-    monkeypatch.setenv("SYSID_EVO_MOST_ROWS", "25000000")
-    assert len(ParquetReader().read(path, ["t"])) == 25_000_000
+    few = tmp_path / "few.parquet"
+    pq.write_table(pa.table({"t": np.zeros(3, np.int8)}), few)
+    monkeypatch.setenv("SYSID_EVO_MOST_ROWS", "3")
+    assert len(ParquetReader().read(few, ["t"])) == 3
+    monkeypatch.setenv("SYSID_EVO_MOST_ROWS", "2")
+    with pytest.raises(InvalidData, match="declares 3 rows, more than the 2 that are"):
+        ParquetReader().read(few, ["t"])
     monkeypatch.setenv("SYSID_EVO_MOST_ROWS", "many")
     with pytest.raises(InvalidData, match=r"SYSID_EVO_MOST_ROWS: expected the largest number of rows .*, got 'many'"):
         ParquetReader().read(path, ["t"])

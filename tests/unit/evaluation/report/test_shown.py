@@ -10,6 +10,8 @@ from evaluation.report.report import PrintedReport
 from sysid_evo import make_model
 from sysid_evo.errors import InvalidArgument
 
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
 MOST = 5_000
 """Characters of what a cell of a notebook shows."""
 
