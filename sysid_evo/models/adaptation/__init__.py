@@ -1,5 +1,6 @@
 """Adaptation of models to new conditions: corrections of accelerations, and the acceptance test."""
 
+from sysid_evo.models.adaptation.action import ActionCorrection
 from sysid_evo.models.adaptation.adapted import as_of
 from sysid_evo.models.adaptation.correction import CorrectionTerms
 from sysid_evo.models.adaptation.selection import (
@@ -19,6 +20,7 @@ __all__ = [
     "NONE",
     "REFIT",
     "AcceptanceResult",
+    "ActionCorrection",
     "Adaptation",
     "AdaptationDecision",
     "CorrectionTerms",

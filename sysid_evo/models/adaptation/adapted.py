@@ -16,10 +16,11 @@ from sysid_evo.data.support import KEPT_PAIRS
 from sysid_evo.data.trajectory import evenly_spaced
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.models.adaptation.action import ActionCorrection
 from sysid_evo.models.adaptation.correction import CorrectionTerms
 from sysid_evo.models.adaptation.selection import NEW_FIT, NONE, REFIT, LearnedCorrection, adaptation
 from sysid_evo.models.base import DynamicsModel, make_model
-from sysid_evo.models.kernels.correction import correction_kernel
+from sysid_evo.models.kernels.correction import action_kernel, correction_kernel
 from sysid_evo.models.learned import Declared
 from sysid_evo.models.stochastic import StochasticModel
 from sysid_evo.models.storage import load_model
@@ -32,20 +33,21 @@ from sysid_evo.validation.intervals import MAX_WINDOWS, Case, horizon_scales, st
 
 @register_model("adapted")
 class Adapted(DynamicsModel):
-    """A model plus a correction of its accelerations, if the correction passes an acceptance test.
+    """A model plus a correction of its accelerations or of its action, if the correction passes an acceptance test.
 
     ``base`` is the path of a stored model, or a family, which is first fitted to the same data; None in a model
     made by ``model.adapt(dataset)``.
 
     The acceleration c = C phi(x, u) is added to that of the base. phi contains 1, state and control; then also the
     accelerations that the base predicts; then also products of states and controls. All are clipped to the range of the
-    data. C is fitted to simulations of one second with a ridge penalty.
+    data. C is fitted to simulations of one second with a ridge penalty. So is the correction of the action, which
+    gives the base gain * u + offset in place of every control u, in phi as well.
 
     Other candidates are a fine-tuned base, a fit of its family to the new data, a refit to old and new data, and the
     means of these and the best correction (a base of the family ``average``). The acceptance test holds out three
-    blocks of time in turn: the error must be at least 15 % lower over all blocks, 5 % lower in every block, and the
-    difference must be statistically significant; fine-tuned models have to pass a stricter test. Otherwise the model is
-    its base. `fit_note` reports the decision. The noise of a ``stochastic`` base is calibrated again on the blocks,
+    blocks of time in turn: the error must be at least 15 % lower over all blocks together, statistically significant,
+    and in no block more than 10 % higher; fine-tuned models have to pass a stricter test. Otherwise the model is its
+    base. `fit_note` reports the decision. The noise of a ``stochastic`` base is calibrated again on the blocks,
     each simulated by the model fitted without it.
     """
 
@@ -105,6 +107,8 @@ class Adapted(DynamicsModel):
         for name, array in learned.terms.arrays.items():
             setattr(self, f"{name}_", array)
         self.coefficients_ = learned.coefficients
+        action = learned.action or ActionCorrection.none(self.system_)
+        self.gain_, self.offset_ = action.gain, action.offset
 
     def learned_arrays(self) -> Mapping[str, Declared]:
         if differences := self.system.differences(self.base_.system):
@@ -112,6 +116,8 @@ class Adapted(DynamicsModel):
         return {
             **{f"{name}_": lengths for name, lengths in self.terms.lengths.items()},
             "coefficients_": self.terms.shape,
+            "gain_": (self.system.nu,),
+            "offset_": (self.system.nu,),
         }
 
     def _widen(self) -> None:
@@ -142,8 +148,13 @@ class Adapted(DynamicsModel):
 
     @property
     def corrects(self) -> bool:
-        """Whether there is a correction."""
+        """Whether accelerations are corrected."""
         return bool(np.any(self.coefficients_))
+
+    @functools.cached_property
+    def action(self) -> ActionCorrection:
+        """The correction of the action."""
+        return ActionCorrection(self.gain_, self.offset_)
 
     def without_noise(self) -> Self:
         quiet = self.base_.without_noise()
@@ -182,9 +193,10 @@ class Adapted(DynamicsModel):
         return self.inner.dead_band_size
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
-        return self.inner.start(states, controls, draws)
+        return self.inner.start(states, self.action(controls), draws)
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        control = self.action(control)
         after = self.inner.step(carry, control, noise)
         return self.terms.next_carry(carry, control, after, self.coefficients_) if self.corrects else after
 
@@ -193,14 +205,17 @@ class Adapted(DynamicsModel):
 
     @functools.cached_property
     def _corrected_kernel(self) -> DynamicsKernel | None:
-        inner = self.inner.kernel()
-        if inner is None or not self.corrects:
-            return inner
-        return correction_kernel(inner, self.system, self.terms.arrays, self.coefficients_)
+        kernel = self.inner.kernel()
+        if kernel is not None and self.corrects:
+            kernel = correction_kernel(kernel, self.system, self.terms.arrays, self.coefficients_)
+        return action_kernel(kernel, self.gain_, self.offset_) if kernel and self.action.changes else kernel
 
     def equations(self) -> list[str]:
-        """Return the equations of the base, if it has some, and the correction of each acceleration."""
+        """Return the equations of the base, if it has some, and the correction of each acceleration or control."""
         of_base = self.base_.equations()
+        if self.action.changes:
+            numbers = zip(self.system.control_names, self.gain_, self.offset_, strict=True)
+            of_base = [*of_base, *(f"{name} -> {gain:.3g} {name} {offset:+.3g}" for name, gain, offset in numbers)]
         if not self.corrects:
             return of_base
         names = ["1", *self.terms.names]
@@ -213,11 +228,12 @@ class Adapted(DynamicsModel):
 
 @dataclass(frozen=True)
 class CorrectedSteps:
-    """The disturbed steps of ``base``, with a correction after the disturbance."""
+    """The disturbed steps of ``base`` under a corrected action, with a correction after the disturbance."""
 
     base: StochasticModel
     terms: CorrectionTerms
     coefficients: Array
+    action: ActionCorrection
 
     @property
     def n_lags(self) -> int:
@@ -232,9 +248,10 @@ class CorrectedSteps:
         return self.base.state_bounds
 
     def initial_carry(self, states: Array, controls: Array) -> Array:
-        return self.base.initial_carry(states, controls)
+        return self.base.initial_carry(states, self.action(controls))
 
     def disturbed(self, carry: Array, control: Array, disturbance: Array) -> Array:
+        control = self.action(control)
         after = self.base.disturbed(carry, control, disturbance)
         return self.terms.next_carry(carry, control, after, self.coefficients)
 
@@ -248,7 +265,12 @@ def calibrated_elsewhere(
     beyond the longest simulation that the held-out data allow.
     """
     pairs = [
-        (CorrectedSteps(one.model.variant(), one.terms, one.coefficients), one.held)
+        (
+            CorrectedSteps(
+                one.model.variant(), one.terms, one.coefficients, one.action or ActionCorrection.none(base.system)
+            ),
+            one.held,
+        )
         for one in fold_results
         if isinstance(one.model, StochasticModel) and one.held is not None
     ]

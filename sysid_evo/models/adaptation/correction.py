@@ -6,7 +6,7 @@ derivatives that are computed along with the simulations (`sensitivities`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -224,12 +224,14 @@ ROWS = 2**14
 class AdaptationWindows:
     """B windows of H steps for simulation and comparison with the recording.
 
-    ``carry`` (B, n_carry) at the start, ``controls`` (B, H, nu), ``truth`` (B, H, nx), ``first`` (B,) the start sample,
-    counted over all episodes; ``scale`` (nx,) is the standard deviation of the states, ``state_bounds`` (2, nx) those
-    of the model.
+    ``carry`` (B, n_carry) at the start, after ``past_states`` (B, L + 1, nx) and ``past_controls`` (B, L, nu),
+    ``controls`` (B, H, nu), ``truth`` (B, H, nx), ``first`` (B,) the start sample, counted over all episodes; ``scale``
+    (nx,) is the standard deviation of the states, ``state_bounds`` (2, nx) those of the model.
     """
 
     system: System
+    past_states: Array
+    past_controls: Array
     carry: Array
     controls: Array
     truth: Array
@@ -251,21 +253,20 @@ class AdaptationWindows:
                 f"to simulate; the longest has {max(len(episode) for episode in dataset)}"
             )
         begins = np.cumsum([0, *(len(episode) for episode in dataset)])[:-1]
-        draws = np.zeros((len(windows), model.n_draws))
-        carry = model.start(windows.past_states, windows.past_controls, draws)
+        past = windows.past_states, windows.past_controls
+        carry = model.start(*past, np.zeros((len(windows), model.n_draws)))
         states = np.concatenate([e.states[rows] for e, rows in zip(dataset, dataset.moving, strict=True)])
         states = states if len(states) else np.concatenate([episode.states for episode in dataset])
         scale = state_scale(system, states)
         first = windows.start + begins[windows.episode]
-        return cls(system, carry, windows.controls, windows.states, first, scale, model.state_bounds)
+        return cls(system, *past, carry, windows.controls, windows.states, first, scale, model.state_bounds)
 
     def __len__(self) -> int:
         return len(self.first)
 
     def __getitem__(self, rows: BoolArray | IntArray | slice) -> AdaptationWindows:
-        return replace(
-            self, carry=self.carry[rows], controls=self.controls[rows], truth=self.truth[rows], first=self.first[rows]
-        )
+        names = ("past_states", "past_controls", "carry", "controls", "truth", "first")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     @property
     def horizon(self) -> int:
@@ -333,10 +334,29 @@ def _improved(
     model: Dynamics, terms: CorrectionTerms, windows: AdaptationWindows, start: Array, ridge: Array, seconds: float
 ) -> tuple[Array, bool]:
     """Return better coefficients from one linearisation, and whether they differ from ``start``."""
-    size = start.size
     runs, derivatives = sensitivities(model, terms, start, windows)
-    here = windows.errors(runs[None]).ravel()
-    slopes = np.where(np.abs(here) < MAX_ERROR, (derivatives / windows.scale).reshape(size, -1), 0.0)
+    slopes = (derivatives / windows.scale).reshape(start.size, -1)
+
+    def errors_of(candidates: Array) -> Array:
+        return windows.errors(simulate_corrections(model, terms, candidates, windows))
+
+    return damped_step(start, windows.errors(runs[None]).ravel(), slopes, errors_of, ridge, seconds)
+
+
+def damped_step(
+    start: Array,
+    here: Array,
+    slopes: Array,
+    errors_of: Callable[[Array], Array],
+    ridge: Array,
+    seconds: float,
+) -> tuple[Array, bool]:
+    """Return better coefficients than ``start`` from one linearisation, and whether they differ from it.
+
+    ``here`` (E,) are the errors at ``start`` (...) and ``slopes`` (k, E) their derivatives by its k numbers;
+    ``errors_of`` returns the errors (P, ...) of candidates (P, ...). ``ridge`` has the shape of ``start``.
+    """
+    slopes = np.where(np.abs(here) < MAX_ERROR, slopes, 0.0)
     weights = np.minimum(1.0, HUBER_ERROR / np.maximum(np.abs(here), 1e-12))
     share = seconds / here.size
     normal = share * (slopes * weights) @ slopes.T + np.diag(ridge.ravel())
@@ -344,8 +364,7 @@ def _improved(
     if not np.isfinite(step).all():
         return start, False
     candidates = np.stack([start, *(start + length * step for length in SHORTENINGS)])
-    reached = windows.errors(simulate_corrections(model, terms, candidates, windows))
-    costs = [_cost(one, found, ridge, seconds) for one, found in zip(reached, candidates, strict=True)]
+    costs = [_cost(one, found, ridge, seconds) for one, found in zip(errors_of(candidates), candidates, strict=True)]
     best = int(np.argmin(costs))
     return candidates[best], costs[best] < (1.0 - 1e-3) * costs[0]
 

@@ -1,13 +1,13 @@
 """Selection of an adaptation: candidates, held-out blocks, decision.
 
-The candidates are corrections, fine-tuned models, refits and means of these. They are compared by simulations of blocks
-of the recording that they were not fitted to. Nothing is tried if the error of the model is similar to that on its own
-held-out data (`error_ratio`).
+The candidates are corrections of the action or of the acceleration, fine-tuned models, refits and means of these. They
+are compared by simulations of blocks of the recording that they were not fitted to. Nothing is tried if the error of
+the model is similar to that on its own held-out data (`error_ratio`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
@@ -16,7 +16,14 @@ import numpy as np
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.trajectory import evenly_spaced
 from sysid_evo.errors import InvalidData, PluginError, SysidEvoError
-from sysid_evo.models.adaptation.correction import AdaptationWindows, CorrectionTerms, corrections, simulate_corrections
+from sysid_evo.models.adaptation.action import ActionCorrection, action_corrections
+from sysid_evo.models.adaptation.correction import (
+    SECOND,
+    AdaptationWindows,
+    CorrectionTerms,
+    corrections,
+    simulate_corrections,
+)
 from sysid_evo.models.base import DynamicsModel
 from sysid_evo.models.dynamics import Dynamics
 from sysid_evo.progress import Counter, Progress
@@ -26,10 +33,13 @@ from sysid_evo.validation.acceptance import AND, AcceptanceResult, HeldOutErrors
 from sysid_evo.validation.folds import Block, blocks_of
 from sysid_evo.validation.simulation_error import error_of
 
-KINDS = ("linear", "gains", "products")
-"""Regressors of a correction, the simplest first."""
+ACTION, BOTH = "action", "action + gains"
+KINDS = (ACTION, "linear", "gains", BOTH, "products")
+"""Kinds of corrections, the simplest first: of the action, of the acceleration with these regressors, or of both."""
 RIDGES = (3.0, 0.3, 0.03, 0.003)
 """The strongest first, which gives the smallest correction."""
+ACTION_RIDGES = RIDGES[:2]
+"""Those of the action if the acceleration is corrected as well."""
 
 NONE = "none"
 """The choice if the model is not changed."""
@@ -46,12 +56,13 @@ ModelMaker: TypeAlias = Callable[[Dataset], DynamicsModel | None]
 
 @dataclass(frozen=True)
 class LearnedCorrection:
-    """A model and its correction (size, nx); ``held`` are the data held out from both, if any."""
+    """A model, its correction (size, nx), and that of its action; ``held`` are the data held out from all, if any."""
 
     model: DynamicsModel
     terms: CorrectionTerms
     coefficients: Array
     held: Dataset | None = None
+    action: ActionCorrection | None = None
 
 
 @dataclass(frozen=True)
@@ -59,7 +70,7 @@ class AdaptationDecision:
     """Result of the acceptance test: the ``uncorrected`` error, the ``trials`` of candidates, and the ``chosen`` one.
 
     ``chosen`` is the name of a trial, or "none". ``error_ratio`` (see there) is given if nothing was tried because it
-    is small.
+    is at most ``least_ratio``.
     """
 
     seconds: float
@@ -68,6 +79,7 @@ class AdaptationDecision:
     trials: tuple[AcceptanceResult, ...]
     chosen: str
     error_ratio: float | None = None
+    least_ratio: float = 1.0
 
     @property
     def sentence(self) -> str:
@@ -75,20 +87,26 @@ class AdaptationDecision:
         if self.error_ratio is not None:
             return (
                 f"not adapted: the 1 s simulation error is at most {self.error_ratio:.2f} times the held-out training "
-                "error in every state"
+                f"error in every state; with {self.seconds:.0f} s, corrections are tried above {self.least_ratio:.2f}"
             )
         if not self.trials:
             return f"not adapted: {self.seconds:.0f} s in motion are too short for three blocks"
         chosen = next((trial for trial in self.trials if trial.name == self.chosen), None)
         if chosen is not None:
             lower = 100.0 * (1.0 - chosen.error)
-            return f"{chosen.name}: error {lower:.0f} % lower on {self.blocks} blocks it was not fitted to"
+            of_blocks = ", ".join(f"{100.0 * (1.0 - share):.0f}" for share in chosen.each)
+            return (
+                f"{chosen.name}: error {lower:.0f} % lower on {self.blocks} blocks it was not fitted to ({of_blocks} %)"
+            )
         complete = [trial for trial in self.trials if len(trial.each) == self.blocks]
         best = min(complete, key=lambda trial: trial.error)
         change = 100.0 * (1.0 - best.error)
         reason = f"{100 * best.required:.0f} % are required"
         if change >= 100.0 * best.required:
-            reason = "which may be chance" if best.everywhere else "but not in every block"
+            worse = 100.0 * (max(best.each) - 1.0)
+            reason = (
+                "which may be chance" if best.consistent else f"but {worse:.0f} % worse in one of {self.blocks} blocks"
+            )
         better = "better" if change > 0 else "worse"
         return f"not adapted: the best candidate ({best.name}) is {abs(change):.0f} % {better}, {reason}"
 
@@ -112,11 +130,11 @@ def adaptation(
 ) -> Adaptation:
     """Return the adaptation of ``model`` to ``dataset``; with its ``training`` data, a refit to both is tried as well.
 
-    Corrections linear in (1, state, control), then with gains, then with products, each with several ridges, are fitted
-    to two of three blocks of time and simulated on the third. Further candidates are fine-tuning, if the family has it;
-    a fit to ``dataset`` alone, unless the family fits other families; and the mean of each of these and the best
-    correction, unless the model draws noise. If neither a candidate nor its mean is better in one block, its remaining
-    blocks are skipped.
+    Corrections of the action; of the acceleration, linear in (1, state, control), then with gains; of both; and of the
+    acceleration with products, each with several ridges, are fitted to two of three blocks of time and simulated on the
+    third. Further candidates are fine-tuning, if the family has it; a fit to ``dataset`` alone, unless the family fits
+    other families; and the mean of each of these and the best correction, unless the model draws noise. If a candidate
+    and its mean are much worse in one block, its remaining blocks are skipped.
 
     The best candidate that passes the test (`decided`) is fitted again to all of ``dataset``; without one the model is
     not changed. Nothing is tried if the held-out error of the model is known and its error here is similar. Raises
@@ -133,18 +151,18 @@ def adaptation(
     error = error_of(errors_of_all) if uncorrected else float("nan")
     if uncorrected and model.held_out_error_ is not None:
         ratio = error_ratio(errors_of_all, windows.scale, model.held_out_error_)
-        if ratio <= UNCHANGED_RATIO:
-            return Adaptation(nothing, AdaptationDecision(seconds, len(blocks), error, (), NONE, ratio))
+        least = unchanged_ratio(sum(len(part.sizes()) for part in uncorrected))
+        if ratio <= least:
+            return Adaptation(nothing, AdaptationDecision(seconds, len(blocks), error, (), NONE, ratio, least))
     trials, fold_results = list[AcceptanceResult](), dict[str, list[LearnedCorrection]]()
     for kind in KINDS if blocks else ():
         errors: dict[str, list[HeldOutErrors]] = {_name(kind, ridge): [] for ridge in RIDGES}
         for block, part in zip(blocks, held, strict=True):
-            terms = _terms(kind, model, block.rest(dataset))
             inside = windows[block.learned(windows.first)]
             share = len(inside) / len(windows)
-            found = corrections(model, terms, inside, RIDGES, share * seconds)
-            for name, coefficients in zip(errors, found, strict=True):
-                learned = LearnedCorrection(model, terms, coefficients, block.part(dataset))
+            found = _corrections(kind, model, block.rest(dataset), inside, RIDGES, share * seconds)
+            for name, one in zip(errors, found, strict=True):
+                learned = replace(one, held=block.part(dataset))
                 errors[name].append(_errors(learned, part))
                 fold_results.setdefault(name, []).append(learned)
                 counter.advance()
@@ -220,10 +238,34 @@ def _corrected(
     for kind in KINDS:
         for number, ridge in enumerate(RIDGES):
             if name == _name(kind, ridge):
-                terms = _terms(kind, model, dataset)
-                path = corrections(model, terms, windows, RIDGES[: number + 1], seconds)
-                return LearnedCorrection(model, terms, list(path)[-1])
+                return list(_corrections(kind, model, dataset, windows, RIDGES[: number + 1], seconds))[-1]
     return _uncorrected(model, dataset)
+
+
+def _corrections(
+    kind: str,
+    model: DynamicsModel,
+    dataset: Dataset,
+    windows: AdaptationWindows,
+    ridges: Sequence[float],
+    seconds: float,
+) -> Iterator[LearnedCorrection]:
+    """Yield the correction of this ``kind`` for each of ``ridges``, with regressors scaled to ``dataset``."""
+    found = _uncorrected(model, dataset)
+    if kind in (ACTION, BOTH):
+        free = model.dead_band_size is None  # an offset would move a body at rest
+        own_ridges = ridges if kind == ACTION else ACTION_RIDGES
+        for action in action_corrections(model, found.terms, windows, own_ridges, seconds, offset=free):
+            found = replace(found, action=action)
+            if kind == ACTION:
+                yield found
+    if kind == ACTION:
+        return
+    if found.action is not None:
+        dataset, windows = found.action.recorded(dataset), found.action.applied(model, windows)
+    terms = CorrectionTerms.of(dataset, products=kind == "products", model=None if kind == "linear" else model)
+    for coefficients in corrections(model, terms, windows, ridges, seconds):
+        yield replace(found, terms=terms, coefficients=coefficients)
 
 
 def _mean(corrected: LearnedCorrection, other: DynamicsModel) -> DynamicsModel:
@@ -280,12 +322,9 @@ def _errors_in(block: Block, model: DynamicsModel, dataset: Dataset) -> HeldOutE
 def _errors(learned: LearnedCorrection, windows: AdaptationWindows) -> HeldOutErrors:
     """Return the errors of the simulations of ``windows``."""
     terms = learned.terms
+    windows = windows if learned.action is None else learned.action.applied(learned.model, windows)
     errors = windows.errors(simulate_corrections(learned.model, terms, learned.coefficients[None], windows))[0]
-    return HeldOutErrors(errors, (windows.first * terms.system.dt).astype(np.int64))
-
-
-def _terms(kind: str, model: DynamicsModel, dataset: Dataset) -> CorrectionTerms:
-    return CorrectionTerms.of(dataset, products=kind == "products", model=None if kind == "linear" else model)
+    return HeldOutErrors(errors, windows.first // max(windows.horizon, round(SECOND / terms.system.dt)))
 
 
 def _name(kind: str, ridge: float) -> str:
@@ -293,7 +332,7 @@ def _name(kind: str, ridge: float) -> str:
 
 
 EQUAL_SHARE = 0.10
-"""A simpler correction may be worse than the best by this share of its error."""
+"""A simpler candidate may be worse than the best by about this share of its error."""
 
 _NOTHING = AcceptanceResult(NONE, 1.0, (1.0,), sure=False)
 
@@ -301,23 +340,24 @@ _NOTHING = AcceptanceResult(NONE, 1.0, (1.0,), sure=False)
 def decided(trials: Sequence[AcceptanceResult]) -> str:
     """Return the name of the best accepted candidate; "none" if there is none.
 
-    The simplest correction or fit within `EQUAL_SHARE` of the best one is compared with the fine-tuned models and their
-    means; the one with the lowest error is chosen. A fit gives way to its mean with a correction if that is about as
-    good, because a fit to a few seconds knows nothing of situations that they do not contain.
+    The simplest correction or fit within `EQUAL_SHARE` of the best one is chosen, unless the error of a fine-tuned
+    model or of its mean is lower by that share: fine-tuned models may diverge where the recording has no data. A fit
+    gives way to its mean with a correction if that is about as good, for the same reason.
     """
     good = [trial for trial in trials if trial.good]
     fits = [trial for trial in good if trial.kind == "fit"]
     least = min((trial.error for trial in fits), default=0.0)
     simplest = [trial for trial in fits if trial.error <= (1.0 + EQUAL_SHARE) * least][:1]
-    found = [*simplest, *(trial for trial in good if trial.kind in ("fine_tuned", "fine_tuned_mean"))]
-    best = min(found, key=lambda trial: trial.error, default=_NOTHING)
+    most = min(((1.0 - EQUAL_SHARE) * trial.error for trial in simplest), default=np.inf)
+    tuned = [trial for trial in good if trial.kind in ("fine_tuned", "fine_tuned_mean") and trial.error <= most]
+    best = min([*simplest, *tuned], key=lambda trial: trial.error, default=_NOTHING)
     means = [trial for trial in good if trial.kind == "fit_mean" and trial.other == best.name]
     safer = [trial for trial in means if trial.error <= (1.0 + EQUAL_SHARE) * best.error]
     return safer[0].name if safer else best.name
 
 
-UNCHANGED_RATIO = 1.5
-"""Largest `error_ratio` at which a model is left unchanged."""
+UNCHANGED_RATIO = 1.15, 1.45
+"""Range of the largest `error_ratio` at which a model is left unchanged, see `unchanged_ratio`."""
 MAX_ERROR_WINDOWS = 800
 """Largest number of windows per case; they overlap, so that more would add time but no information."""
 
@@ -338,6 +378,14 @@ def held_out_error(cases: Sequence[tuple[Dynamics, Dataset]]) -> Array | None:
         wrong = windows.errors(simulate_corrections(model, terms, np.zeros((1, *terms.shape)), windows))[0]
         squares.append(((wrong * windows.scale) ** 2).reshape(-1, held.system.nx))
     return np.asarray(np.sqrt(np.concatenate(squares).mean(axis=0)))
+
+
+def unchanged_ratio(intervals: int) -> float:
+    """Return the largest `error_ratio` of an unchanged condition: 1 + 1 / sqrt(``intervals``), within its range.
+
+    The fewer intervals are compared, the more the ratio varies by chance: 1.35 for 10 s, 1.19 for 30 s.
+    """
+    return float(np.clip(1.0 + 1.0 / np.sqrt(max(1, intervals)), *UNCHANGED_RATIO))
 
 
 def error_ratio(errors: Array, scale: Array, baseline_error: Array) -> float:

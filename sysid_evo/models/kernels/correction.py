@@ -1,4 +1,4 @@
-"""The kernel of a model with a correction, see `sysid_evo.models.adaptation.CorrectionTerms`."""
+"""Kernels of models with a correction of the acceleration or of the action, see `sysid_evo.models.adaptation`."""
 
 from __future__ import annotations
 
@@ -179,3 +179,24 @@ def write_terms(carry, control, nx, nu, inputs, products, states, ranges, terms)
                 both = load(terms, (1 + i) * LANES) * load(terms, (1 + k) * LANES)
                 store(terms, (1 + inputs + place) * LANES, min(max(both, least[place]), most[place]))
                 place += 1
+
+
+ACTION = Layout("nu", "own", align=CACHE_LINE)
+
+
+def action_kernel(inner: DynamicsKernel, gain: Array, offset: Array) -> DynamicsKernel:
+    """Return the kernel of ``inner`` under the control gain * u + offset, both (nu,)."""
+    check_shape("offset", offset, gain.shape)
+    numbers = padded(np.concatenate([gain, offset]))
+    parameters = ACTION.pack(numbers, inner.parameters, nu=len(gain), own=ACTION.size + len(numbers))
+    source = KernelSource(under_corrected_action, {"inner": inner.source})
+    return DynamicsKernel(source, parameters, len(gain) + inner.n_scratch, inner.precision)
+
+
+def under_corrected_action(carry, control, noise, parameters, scratch):
+    """Correct the control and step the inner dynamics."""
+    nu = int(parameters[ACTION.nu])
+    numbers, own = view(parameters, ACTION.size), view(parameters, int(parameters[ACTION.own]))
+    for row in range(nu):
+        store(scratch, row * LANES, splat(numbers[row]) * load(control, row * LANES) + splat(numbers[nu + row]))
+    inner(carry, scratch, noise, own, view(scratch, nu * LANES))

@@ -1,41 +1,47 @@
-"""What is fitted to, adapted to and tested on: two real cars, four floors, emulated cars in several conditions."""
+"""What is fitted to, adapted to and tested on: two real cars, four floors, emulated robots in several conditions."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from sysid_evo.data import Dataset, Trajectory
+from sysid_evo.validation.folds import Block
 from tests.benchmarks.cars import recording
-from tests.benchmarks.shift.emulated import cars, recorded
+from tests.benchmarks.shift.emulated import Condition, cars, cart_poles, heaters, pendulums, recorded
 
 LONGEST = 30.0  # s to adapt to
-EMULATED_TIME = 240.0
+EPISODES, TEST_EPISODES, NEW_EPISODES, NEW_RECORDINGS = 12, 6, 2, 3
+"""Number of emulated episodes to fit to, to test on and to adapt to, and number of recordings to adapt to."""
+TYPICAL_DT = 0.05  # s
 
 
 @dataclass(frozen=True)
 class Case:
-    """``training`` of one condition; ``new`` seconds, in-domain data and a test of the other."""
+    """``training`` of one condition; ``new`` recordings to adapt to, in-domain data and a test of the other."""
 
     name: str
     shifted: bool
     training: Dataset
-    new: Dataset
+    new: tuple[Dataset, ...]
     own: Dataset
     test: Dataset
 
-    def first(self, seconds: float) -> Dataset:
-        """Return the first ``seconds`` of the new recording."""
-        left, kept = round(seconds / self.new.system.dt), list[Trajectory]()
-        for episode in self.new:
-            if left > 1:
-                kept.append(episode[: min(left, len(episode))])
-                left -= len(kept[-1])
-        return self.new.with_episodes(kept)
+    def first(self, seconds: float, seed: int = 0) -> Dataset:
+        """Return ``seconds`` of a new recording, which depends on the ``seed``: of another one, or another part of it.
+
+        Of a slow system, sampled at less than 20 Hz, it is as many samples as of one that is sampled at 20 Hz.
+        """
+        new = self.new[seed % len(self.new)]
+        steps = round(seconds / min(new.system.dt, TYPICAL_DT))
+        begin = steps * (seed // len(self.new))
+        begin = begin if begin + steps <= new.n_steps else 0
+        return Block(begin, begin + steps, 1).part(new)
 
 
 def cases(wanted: str) -> Iterator[Case]:
@@ -49,7 +55,7 @@ def real_cars() -> Iterator[Case]:
     for before, (training, _) in logs.items():
         for after, (own, drive) in logs.items():
             new, test = cut(drive)
-            yield Case(f"{before} -> {after}", before != after, training, new, own, test)
+            yield Case(f"{before} -> {after}", before != after, training, (new,), own, test)
 
 
 def floors() -> Iterator[Case]:
@@ -69,22 +75,27 @@ def floors() -> Iterator[Case]:
             f"others -> {name}",
             True,
             data.with_episodes(others),
-            new,
+            (new,),
             data.with_episodes([own]),
             data.with_episodes([test]),
         )
 
 
-def emulated() -> Iterator[Case]:
-    """The nominal car, then with half the grip, a low battery, another of its kind, and itself."""
-    robots = cars()
-    training = recorded(robots["nominal"].dynamics, seconds=EMULATED_TIME, seed=1)
-    for seed, (name, robot) in enumerate(robots.items(), start=10):
-        new, own, test = (
-            recorded(robot.dynamics, seconds=seconds, seed=10 * seed + i)
-            for i, seconds in enumerate((40.0, EMULATED_TIME, 120.0))
+def emulated(conditions: Callable[[], Mapping[str, Condition]]) -> Iterator[Case]:
+    """The nominal robot in each of its ``conditions``, the first of which is its own."""
+    found = conditions()
+    own_name = next(iter(found))
+    training = recorded(found[own_name], episodes=EPISODES, seed=1)
+    for seed, (name, condition) in enumerate(found.items(), start=10):
+        own, test = (
+            recorded(condition, episodes=count, seed=10 * seed + i) for i, count in ((1, EPISODES), (2, TEST_EPISODES))
         )
-        yield Case(f"nominal -> {name}", name != "nominal", training, new, own, test)
+        new = tuple(
+            recorded(condition, episodes=NEW_EPISODES, seed=10 * seed + i) for i in (0, *range(3, 2 + NEW_RECORDINGS))
+        )
+        robot = conditions.__name__.removesuffix("s").replace("_", "-")
+        shown = f"{robot}: nominal" if robot != "car" else "nominal"
+        yield Case(f"{shown} -> {name}", name != own_name, training, new, own, test)
 
 
 def cut(drive: Dataset) -> tuple[Dataset, Dataset]:
@@ -98,5 +109,8 @@ def cut(drive: Dataset) -> tuple[Dataset, Dataset]:
 GROUPS: dict[str, Callable[[], Iterator[Case]]] = {
     "cars": real_cars,
     "floors": floors,
-    "emulated": emulated,
+    "emulated": partial(emulated, cars),
+    "heater": partial(emulated, heaters),
+    "pendulum": partial(emulated, pendulums),
+    "cart-pole": partial(emulated, cart_poles),
 }

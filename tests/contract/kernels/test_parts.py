@@ -14,7 +14,7 @@ from sysid_evo.kernels import ADVANCE, CONTROLLER, LANES, OBSERVE
 from sysid_evo.models.adaptation.correction import CorrectionTerms
 from sysid_evo.models.base import make_model
 from sysid_evo.models.kernels import Predictor, stepping_kernel
-from sysid_evo.models.kernels.correction import correction_kernel
+from sysid_evo.models.kernels.correction import action_kernel, correction_kernel
 from sysid_evo.motion import PlanarBody
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import Channel, System
@@ -138,6 +138,18 @@ def test_a_correction_corrects_as_its_terms_do(system, rng):
     expected = terms.corrected(before, control, after, coefficients)
     np.testing.assert_allclose(compiled, expected, rtol=1e-4, atol=1e-4)
     assert not np.allclose(compiled, after, atol=1e-2)
+
+
+def test_a_correction_of_the_action_steps_under_the_corrected_control(rng):
+    system = example_systems()[2]
+    model = ExampleDynamics(system)
+    before, control = rng.normal(size=(70, system.nx)), rng.uniform(-1.0, 1.0, (70, system.nu))
+    gain, offset = rng.normal(size=system.nu), rng.normal(size=system.nu)
+    kernel = action_kernel(model.kernel(), gain, offset)
+    expected = model.step(before, gain * control + offset)
+    compiled = kernel_step(kernel, before, control, precision="float32")
+    np.testing.assert_allclose(compiled, expected, rtol=1e-4, atol=1e-4)
+    assert not np.allclose(compiled, model.step(before, control), atol=1e-2)
 
 
 LIMITED = replace(CART, states=(Channel("position", "m", -1.5, 1.5), CART.states[1]))

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from sysid_evo.data import Dataset
+from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.models import load_model, save_model
-from sysid_evo.models.adaptation import NONE, REFIT, CorrectionTerms, LearnedCorrection
+from sysid_evo.models.adaptation import NONE, REFIT, CorrectionTerms, LearnedCorrection, selection
 from sysid_evo.models.adaptation import adapted as module
 from sysid_evo.models.adaptation.adapted import calibrated_elsewhere
-from sysid_evo.models.adaptation.selection import FINE_TUNED, NEW_FIT, Adaptation, AdaptationDecision
+from sysid_evo.models.adaptation.selection import FINE_TUNED, KINDS, NEW_FIT, Adaptation, AdaptationDecision
 from sysid_evo.models.base import make_model
 from sysid_evo.system import System
 from sysid_evo.validation import intervals
@@ -52,6 +53,52 @@ def test_without_a_change_of_conditions_the_model_is_not_adapted(base, training)
     np.testing.assert_array_equal(same.simulate(*arguments), base.simulate(*arguments))
     np.testing.assert_array_equal(same.state_bounds_, base.state_bounds_)
     assert same.fit_note.startswith("not adapted: the best candidate (")
+
+
+@pytest.fixture(scope="module")
+def weaker(base):
+    """A model adapted to ten seconds of a car whose motor and steering act less."""
+    return base.adapt(commanded(drive(FloorCar(), seconds=10.0, seed=3)), rng=0)
+
+
+def commanded(data):
+    """The same motion under stronger commands."""
+    return data.with_episodes([replace(e, controls=e.controls / np.array([0.6, 0.7])) for e in data])
+
+
+def test_ten_seconds_are_enough_to_correct_the_action(base, weaker, tmp_path):
+    assert weaker.chosen_.startswith("action, ridge")
+    assert not weaker.corrects
+    np.testing.assert_allclose(weaker.gain_, [0.6, 0.7], atol=0.1)
+    test = commanded(drive(FloorCar(), seconds=40.0, seed=4))
+    assert weaker.score(test) > 0.6 * base.score(test)
+    loaded = load_model(save_model(weaker, tmp_path / "weaker"))
+    assert loaded.score(test) == weaker.score(test)
+    assert any(line.startswith("drive -> 0.") for line in weaker.equations())
+
+
+def test_a_model_with_a_corrected_action_steps_equally_in_both_engines(base, weaker):
+    data = commanded(drive(FloorCar(), seconds=5.0, seed=6))
+    terms = CorrectionTerms.of(weaker.action.recorded(data), model=base)
+    coefficients = 0.1 * np.random.default_rng(0).normal(size=terms.shape)
+    both = weaker.holding(LearnedCorrection(base, terms, coefficients, action=weaker.action))
+    run, lags = data.episodes[0], base.n_lags
+    carry = both.start(run.states[None, : lags + 1], run.controls[None, :lags])
+    control = run.controls[lags : lags + 1]
+    for model in (weaker, both):
+        found = kernel_step(model.kernel(), carry, control, precision="float64")
+        np.testing.assert_allclose(found, model.step(carry, control), atol=1e-9)
+    acted = weaker.action(control)
+    expected = terms.next_carry(carry, acted, base.step(carry, acted), coefficients)
+    np.testing.assert_array_equal(both.step(carry, control), expected)
+
+
+def test_action_and_acceleration_are_corrected_together(base):
+    """A car whose motor acts less and that turns less: neither correction alone describes both."""
+    found = base.adapt(commanded(drive(FloorCar(turn=2.0), seconds=12.0, seed=3)), rng=0)
+    tried = dict(zip(found.candidates_, found.test_errors_, strict=True))
+    best = {kind: min(e[0] for n, e in tried.items() if n.startswith(f"{kind}, ridge")) for kind in KINDS}
+    assert best["action + gains"] < min(best["linear"], best["gains"])
 
 
 def test_a_recording_too_short_for_a_held_out_block_changes_nothing(base):
@@ -139,13 +186,15 @@ def test_a_family_without_updates_is_not_fine_tuned(base, training):
 
 @pytest.fixture(scope="module")
 def between(training):
-    """A network adapted to a floor on which the mean of a correction and more training is best."""
+    """A network adapted to a floor on which the mean of a correction and more training is best by far."""
     network = make_model("mlp_ensemble", **NETWORKS["mlp_ensemble"], updates=20, horizon=10).fit(training, rng=0)
-    return network.adapt(drive(OTHER, seconds=20.0, seed=3, noise=0.05), rng=0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(selection, "EQUAL_SHARE", 0.0)
+        return network.adapt(drive(OTHER, seconds=20.0, seed=3, noise=0.05), rng=0)
 
 
 def test_the_mean_of_a_correction_and_another_candidate_is_tried_and_accepted(between):
-    assert between.chosen_.count(AND) == 1
+    assert between.chosen_.count(AND) == 1, between.fit_note
     correction, way = between.chosen_.split(AND)
     assert {correction, way} <= set(between.candidates_)
     assert not between.corrects
@@ -304,12 +353,12 @@ def polynomial(thrust):
 @pytest.mark.parametrize(
     ("thrust", "blocks", "of_way", "of_mean"),
     [
-        (5.0, 1, False, False),  # the wrong way: neither it nor the mean is better in the first block
+        (5.0, 1, False, False),  # the wrong way: both it and the mean are much worse in the first block
         (0.5, 3, False, True),  # too far: farther off than the model was, but the mean is in the middle
         (1.6, 3, True, True),
     ],
 )
-def test_a_candidate_is_dropped_after_a_block_in_which_neither_it_nor_its_mean_is_better(
+def test_a_candidate_is_dropped_after_a_block_in_which_it_and_its_mean_are_much_worse(
     thrust, blocks, of_way, of_mean, monkeypatch
 ):
     model, further, called = polynomial(3.0), polynomial(thrust), Counter()
@@ -325,6 +374,6 @@ def test_a_candidate_is_dropped_after_a_block_in_which_neither_it_nor_its_mean_i
         (mean,) = [name for name in shown if name.endswith(AND + way)]
         for name, better in ((way, of_way), (mean, of_mean)):
             assert len(shown[name]) == 1 + blocks
-            assert (max(shown[name][1:]) < 0.95) == better, shown[name]
+            assert (max(shown[name][1:]) < 1.1) == better, shown[name]
     chosen = [updates for way, updates in zip(FINE_TUNED, called, strict=True) if way in adapted.chosen_]
     assert {updates: count - (updates in chosen) for updates, count in called.items()} == dict.fromkeys(called, blocks)

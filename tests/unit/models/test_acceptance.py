@@ -1,4 +1,4 @@
-"""The gate: what is held back, what counts as better, and how much is asked of short data."""
+"""The acceptance test: held-out blocks, improvement that is required, and what is required of short data."""
 
 from itertools import pairwise
 
@@ -15,6 +15,7 @@ from sysid_evo.models.adaptation.selection import (
     error_ratio,
     moving_seconds,
     refitted,
+    unchanged_ratio,
 )
 from sysid_evo.models.base import make_model
 from sysid_evo.validation.acceptance import (
@@ -70,13 +71,12 @@ B, ANEW, MOST = alike("b", 0.6), alike("anew", 0.4), alike("most", 0.5, "fine_tu
         ([alike("a", 0.8, sure=False), alike("b", 0.99)], "none"),
         ([alike("a", 0.9), alike("b", 0.99)], "none"),
         ([alike("a", 1.2), alike("b", 0.99)], "none"),
-        ([AcceptanceResult("a", 0.5, (0.2, 0.3, 1.1), True)], "none"),
-        ([AcceptanceResult("a", 0.5, (0.2, 0.3, 0.97), True)], "none"),
-        ([AcceptanceResult("a", 0.5, (0.2, 0.3, 0.93), True)], "a"),
+        ([AcceptanceResult("a", 0.5, (0.2, 0.3, 1.11), True)], "none"),
+        ([AcceptanceResult("a", 0.5, (0.2, 0.3, 1.09), True)], "a"),
         ([alike("strong", 0.62), WEAK, WEAKER], "weak"),  # the simplest of those that are about as good
         ([MOST, alike("mean", 0.49, "fine_tuned_mean")], "mean"),  # a mean must be better than more training
         ([MOST, alike("mean", 0.51, "fine_tuned_mean")], "most"),
-        ([MOST, AcceptanceResult("mean", 0.4, (0.1, 0.1, 1.0), True, "fine_tuned_mean")], "most"),
+        ([MOST, AcceptanceResult("mean", 0.4, (0.1, 0.1, 1.2), True, "fine_tuned_mean")], "most"),
         (
             [B, ANEW, alike("b and anew", 0.43, "fit_mean")],
             "b and anew",
@@ -84,16 +84,16 @@ B, ANEW, MOST = alike("b", 0.6), alike("anew", 0.4), alike("most", 0.5, "fine_tu
         ([B, ANEW, alike("b and anew", 0.45, "fit_mean")], "anew"),
         ([B, ANEW, alike("b and anew", 0.38, "fit_mean")], "b and anew"),
         ([B, alike("anew", 0.58), alike("b and anew", 0.4, "fit_mean")], "b"),  # but not of a fit that is not taken
-        ([alike("anew", 0.58), AcceptanceResult("b and anew", 0.6, (0.6, 0.6, 1.1), True, "fit_mean")], "anew"),
+        ([alike("anew", 0.58), AcceptanceResult("b and anew", 0.6, (0.6, 0.6, 1.2), True, "fit_mean")], "anew"),
     ],
 )
-def test_the_accepted_candidate_is_much_better_in_every_block_significantly_and_the_simplest(trials, chosen):
+def test_the_accepted_candidate_is_much_better_significantly_in_no_block_much_worse_and_the_simplest(trials, chosen):
     assert decided(trials) == chosen
 
 
 @pytest.mark.parametrize("kind", ["fine_tuned", "fine_tuned_mean"])
-def test_a_fine_tuned_model_or_its_mean_is_accepted_if_better_than_the_simplest_fit(kind):
-    for error, chosen in ((0.51, "other"), (0.53, "weak")):
+def test_a_fine_tuned_model_or_its_mean_is_accepted_if_a_tenth_better_than_the_simplest_fit(kind):
+    for error, chosen in ((0.46, "other"), (0.48, "weak")):
         assert decided([WEAK, WEAKER, alike("other", error, kind)]) == chosen
     assert decided([alike(f"{error}", error, kind) for error in (0.501, 0.5, 0.502)]) == "0.5", "of these the best"
 
@@ -108,8 +108,8 @@ def test_fine_tuning_must_be_significant_as_one_of_three_amounts(t, accepted):
     """Of 15 seconds Student's t is 2.14 for a single one, and 2.7 for three that are looked at together."""
     apart = np.tile([0.3, -0.3, 0.1, -0.1, 0.0], 3)
     gains = apart + t * apart.std(ddof=1) / np.sqrt(15)
-    plain = [np.full((10, 5, 2), np.sqrt(2.0))] * 3
-    better = [np.repeat(np.sqrt(2.0 - part), 2)[:, None, None] * np.ones((10, 5, 2)) for part in np.split(gains, 3)]
+    plain = [np.full((10, 5, 2), 2.0)] * 3
+    better = [np.repeat(2.0 - part, 2)[:, None, None] * np.ones((10, 5, 2)) for part in np.split(gains, 3)]
     sure = [
         kind for kind in KINDS if acceptance_result("a", list(map(held, plain)), list(map(held, better)), kind).sure
     ]
@@ -124,7 +124,7 @@ def test_shares_of_an_error_do_not_depend_on_its_size_and_that_of_none_is_finite
     none = [held(np.zeros((20, 5, 2)))] * 3
     exact = acceptance_result("exact", none, none)
     assert (exact.error, *exact.each) == (0.0,) * 4
-    assert not acceptance_result("worse", none, [held(one) for one in plain]).everywhere
+    assert not acceptance_result("worse", none, [held(one) for one in plain]).consistent
 
 
 def test_half_the_error_in_every_second_is_a_share_of_a_half_and_sure():
@@ -155,7 +155,7 @@ def test_an_error_that_is_lower_in_one_second_alone_is_not_surely_lower():
 )
 def test_a_mean_gain_that_chance_explains_once_in_forty_is_sure(gains, sure):
     plain, better = (
-        held(np.repeat(np.sqrt(9.0 - part), 2)[:, None, None] * np.ones((1, 5, 2)))
+        held(np.repeat(9.0 - part, 2)[:, None, None] * np.ones((1, 5, 2)))
         for part in (np.zeros(len(gains)), np.array(gains))
     )
     assert acceptance_result("a", [plain], [better]).sure == sure
@@ -172,8 +172,21 @@ def test_fine_tuning_must_be_better_by_more_the_fewer_seconds_are_compared(secon
         assert AcceptanceResult("a", error, (0.5,), True, "fine_tuned", share).good == good
 
 
-@pytest.mark.parametrize(("last", "no_good"), [(0.949, False), (0.951, True)])
-def test_what_is_hardly_better_in_one_block_has_failed_in_those_that_it_knows(last, no_good):
+def test_evidence_is_pooled_over_blocks():
+    """Ten seconds, of which one block is hardly better: together they show what no block shows alone."""
+    before = [np.ones((6, 5, 2))] * 3
+    after = [size * one for size, one in zip((0.6, 0.98, 0.7), before, strict=True)]
+    trial = acceptance_result("a", list(map(held, before)), list(map(held, after)))
+    assert trial.good
+    assert not any(
+        acceptance_result("a", [held(b)], [held(a)]).good
+        for b, a in zip(before, after, strict=True)
+        if a[0, 0, 0] > 0.9
+    )
+
+
+@pytest.mark.parametrize(("last", "no_good"), [(1.099, False), (1.101, True)])
+def test_what_is_much_worse_in_one_block_has_failed_in_those_that_it_knows(last, no_good):
     plain = [np.ones((8, 5, 2))] * 3
     seen = [held(0.2 * plain[0]), held(last * plain[1])]
     assert failed(list(map(held, plain)), seen) == no_good
@@ -240,9 +253,10 @@ def test_nothing_is_tried_if_the_error_has_hardly_grown(model, monkeypatch):
     at_home = held_out_error([(model, new)])
     free = adaptation(model, new, rng=np.random.default_rng(0)).decision
     assert free.chosen != NONE
-    model.held_out_error_ = at_home / (UNCHANGED_RATIO * 1.04)
+    least = unchanged_ratio(16)
+    model.held_out_error_ = at_home / (least * 1.04)
     assert adaptation(model, new, rng=np.random.default_rng(0)).decision == free
-    model.held_out_error_ = at_home / (UNCHANGED_RATIO * 0.96)
+    model.held_out_error_ = at_home / (least * 0.96)
     found = adaptation(model, new, rng=np.random.default_rng(0))
     assert not found.decision.trials
     assert found.decision.chosen == NONE
@@ -250,10 +264,18 @@ def test_nothing_is_tried_if_the_error_has_hardly_grown(model, monkeypatch):
     assert not found.learned.coefficients.any()
     assert found.decision.uncorrected == pytest.approx(free.uncorrected)
     times = found.decision.error_ratio
-    assert times == pytest.approx(UNCHANGED_RATIO * 0.96, rel=0.04)
+    assert times == pytest.approx(least * 0.96, rel=0.04)
+    assert found.decision.least_ratio == pytest.approx(least, rel=0.02)
+    least, seconds = found.decision.least_ratio, found.decision.seconds
     assert found.decision.sentence == (
-        f"not adapted: the 1 s simulation error is at most {times:.2f} times the held-out training error in every state"
+        f"not adapted: the 1 s simulation error is at most {times:.2f} times the held-out training error in every "
+        f"state; with {seconds:.0f} s, corrections are tried above {least:.2f}"
     )
+
+
+def test_the_error_ratio_of_an_unchanged_condition_is_larger_for_short_recordings():
+    assert [unchanged_ratio(n) for n in (9, 27)] == pytest.approx([1.33, 1.19], abs=0.01)
+    assert (unchanged_ratio(1000), unchanged_ratio(0)) == UNCHANGED_RATIO
 
 
 GOOD = AcceptanceResult("linear, ridge 3", 0.6, (0.5, 0.6, 0.7), True)
@@ -274,8 +296,8 @@ MEAN = AcceptanceResult("mean", 0.7, (0.7, 0.7, 0.7), True, "fine_tuned_mean", 0
         ([WORST, MEAN], "mean) is 30 % better, 35 % are required"),
         ([AcceptanceResult("given up", 0.4, (0.2, 0.96), True), GAINS], "gains) is 10 % better, 15 % are required"),
         (
-            [WORST, AcceptanceResult("gains", 0.6, (0.2, 0.6, 1.0), True)],
-            "gains) is 40 % better, but not in every block",
+            [WORST, AcceptanceResult("gains", 0.6, (0.2, 0.6, 1.3), True)],
+            "gains) is 40 % better, but 30 % worse in one of 3 blocks",
         ),
     ],
 )
@@ -286,7 +308,7 @@ def test_a_decision_gives_the_reason_for_no_adaptation(trials, reason):
 
 def test_a_decision_names_the_accepted_candidate_though_another_was_better_or_reports_too_few_data():
     taken = AdaptationDecision(24.6, 3, 0.5, (WORST, GOOD, BETTER), GOOD.name).sentence
-    assert taken == "linear, ridge 3: error 40 % lower on 3 blocks it was not fitted to"
+    assert taken == "linear, ridge 3: error 40 % lower on 3 blocks it was not fitted to (50, 40, 30 %)"
     too_short = AdaptationDecision(24.6, 3, 0.5, (), "none").sentence
     assert too_short == "not adapted: 25 s in motion are too short for three blocks"
 
@@ -296,11 +318,11 @@ def test_a_decision_names_the_accepted_candidate_though_another_was_better_or_re
     [
         (0.85, (0.8, 0.8, 0.9), True),  # fifteen percent are enough
         (0.851, (0.8, 0.8, 0.9), False),
-        (0.8, (0.5, 0.95, 0.5), True),  # five percent in each block are enough
-        (0.8, (0.5, 0.951, 0.5), False),
+        (0.8, (0.5, 1.1, 0.5), True),  # a block may be ten percent worse
+        (0.8, (0.5, 1.101, 0.5), False),
     ],
 )
-def test_fifteen_percent_and_five_in_each_block_are_enough(error, each, good):
+def test_fifteen_percent_are_enough_if_no_block_is_more_than_ten_percent_worse(error, each, good):
     assert AcceptanceResult("a", error, each, True).good == good
 
 
@@ -309,7 +331,7 @@ def test_what_is_shared_out_over_blocks_is_compared_second_by_second():
     rng = np.random.default_rng(0)
     plain = HeldOutErrors(1.0 + 0.01 * rng.random((6, 4, 1)), np.array([0, 0, 1, 1, 2, 9]))
     after = HeldOutErrors(np.full((6, 4, 1), 0.5), np.array([0, 0, 1, 1, 2, 8]))
-    assert plain.squares()[0] == pytest.approx(float((plain.errors[:2] ** 2).mean()))
+    assert plain.sizes()[0] == pytest.approx(float((plain.errors[:2] ** 2).mean()) ** 0.5)
     assert acceptance_result("a", [plain], [after]).sure
     few = HeldOutErrors(plain.errors, np.array([0, 0, 1, 1, 9, 9]))
     assert not acceptance_result("a", [few], [after]).sure  # two seconds are common

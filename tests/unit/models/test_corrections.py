@@ -1,9 +1,12 @@
 """A correction does what its coefficients say, is learned by free runs, and stays within what was recorded."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from sysid_evo.models.adaptation import CorrectionTerms
+from sysid_evo.models.adaptation import ActionCorrection, CorrectionTerms, LearnedCorrection
+from sysid_evo.models.adaptation.action import action_corrections
 from sysid_evo.models.adaptation.correction import (
     AdaptationWindows,
     acceleration_from_coasting,
@@ -118,3 +121,55 @@ def test_a_simulation_with_a_correction_equals_its_chained_steps():
             moved = terms.corrected(carry[:, :3], control, after[:, :3], one)
             carry = np.concatenate([moved, after[:, 3:]], axis=1)
             np.testing.assert_allclose(run[:, k], carry[:, :3])
+
+
+GAIN, OFFSET = np.array([0.7, 1.2]), np.array([0.0, -0.15])
+
+
+def commanded_otherwise(data):
+    """The same motion under commands of which the car gets gain * u + offset."""
+    (episode,) = data
+    return data.with_episodes([replace(episode, controls=(episode.controls - OFFSET) / GAIN)])
+
+
+def test_simulations_find_gain_and_offset_of_the_controls():
+    data = commanded_otherwise(drive(FloorCar(), seconds=10.0, seed=1, noise=0.0))
+    windows = AdaptationWindows.of(FloorCar(), data)
+    found = list(action_corrections(FloorCar(), CorrectionTerms.of(data), windows, [1e-2, 1e-4, 1e-6], 10.0))[-1]
+    np.testing.assert_allclose(found.gain, GAIN, atol=2e-3)
+    np.testing.assert_allclose(found.offset, OFFSET, atol=2e-3)
+
+
+def test_a_strong_ridge_or_none_leaves_little_of_a_correction_of_the_action():
+    data = commanded_otherwise(drive(FloorCar(), seconds=10.0, seed=1, noise=0.0))
+    windows, terms = AdaptationWindows.of(FloorCar(), data), CorrectionTerms.of(data)
+    (strong,) = action_corrections(FloorCar(), terms, windows, [1e4], 10.0)
+    np.testing.assert_allclose(strong.gain, 1.0, atol=0.01)
+    assert strong.changes
+    assert not ActionCorrection.none(data.system).changes
+
+
+def test_without_an_offset_the_neutral_control_is_not_changed():
+    data = commanded_otherwise(drive(FloorCar(), seconds=10.0, seed=1, noise=0.0))
+    windows = AdaptationWindows.of(FloorCar(), data)
+    (found,) = action_corrections(FloorCar(), CorrectionTerms.of(data), windows, [1e-2], 10.0, offset=False)
+    np.testing.assert_array_equal(found(data.system.neutral_control), data.system.neutral_control)
+    assert found.gain[0] == pytest.approx(GAIN[0], abs=0.1)
+
+
+def test_a_correction_of_the_action_applies_to_the_history_as_well():
+    data = commanded_otherwise(drive(FloorCar(), seconds=10.0, seed=1, noise=0.0))
+    base = make_model("narx", degree=1, state_lags=1, control_lags=2).fit(
+        drive(FloorCar(), seconds=20.0, seed=2), rng=0
+    )
+    nothing = CorrectionTerms.of(data)
+    action = ActionCorrection(GAIN, OFFSET)
+    learned = LearnedCorrection(base, nothing, np.zeros(nothing.shape), action=action)
+    adapted = make_model("adapted", base=None).holding(learned)
+    windows = data.windows(20, stride=50, history=base.n_lags)
+    found = adapted.simulate(windows.past_states, windows.past_controls, windows.controls)
+    expected = base.simulate(windows.past_states, action(windows.past_controls), action(windows.controls))
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    moved = action.applied(base, AdaptationWindows.of(base, data))
+    np.testing.assert_array_equal(moved.controls, action(AdaptationWindows.of(base, data).controls))
+    np.testing.assert_allclose(moved.carry, base.start(moved.past_states, action(moved.past_controls)))
