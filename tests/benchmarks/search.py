@@ -37,7 +37,6 @@ STRATEGIES = {
     "plain": ("recurrent", "mu_plus_lambda", 10),
     "CMA-ES, narrow": ("recurrent", "cma_es(sigma=0.5)", 10),
     "CMA-ES, wide": ("recurrent", "cma_es", 10),
-    "MAP-Elites": ("recurrent", "map_elites", 10),
     "niches, six hidden units": ("recurrent", "niches", 10),
     "niches, ten trials": ("recurrent(hidden=10)", "niches", 10),
     "niches, six hidden units, five trials": ("recurrent", "niches", 5),

@@ -24,7 +24,6 @@ EVALUATIONS, POPULATION, NOISE = 4000, 20, 0.3
 STRATEGIES = (
     f"niches(strategy=cma_es(population={POPULATION}, sigma=1))",
     f"cma_es(population={POPULATION}, sigma=1)",
-    f"map_elites(population={POPULATION}, sigma=0.3)",
     f"mu_plus_lambda(parents={POPULATION // 2}, children={POPULATION // 2})",
 )
 

@@ -18,7 +18,7 @@ from tests.layout import (
 HEAVY = {
     "cobs", "control", "cvxpy", "distributed", "filelock", "gymnasium", "joblib", "lightgbm",
     "matplotlib", "motioncapture", "mujoco", "natnet", "packaging", "pandas", "psutil",
-    "pyarrow", "pysindy", "ribs", "rich", "scipy", "serial", "skops", "sklearn", "starlette", "torch", "torchdiffeq",
+    "pyarrow", "pysindy", "rich", "scipy", "serial", "skops", "sklearn", "starlette", "torch", "torchdiffeq",
     "uvicorn", "websockets", "xgboost",
 }  # fmt: skip
 """Packages that a function may import, since loading them takes long or they are an extra."""

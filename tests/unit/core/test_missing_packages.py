@@ -21,7 +21,6 @@ from sysid_evo.extras import extra_of, missing_extra
         ("uvicorn", "drive"),
         ("torch", "neural"),
         ("pysindy", "sindy"),
-        ("ribs.archives", "evolution"),
         ("numpy", None),
         ("sklearn", None),
         ("no_such_module", None),
