@@ -19,7 +19,8 @@ def to_control(model: Dynamics, *, name: str | None = None) -> control.Nonlinear
 
     Its inputs are the controls, its outputs the states of the system, by name; its state is the
     carry: the states, then all other memory of the model (``yaw_rate[-1]`` is that of the sample before).
-    There is no noise and no clipping. Raises `MissingExtra` if python-control is not installed.
+    There is no noise and no clipping. Raises `MissingExtra` if python-control is not installed,
+    `IncompatibleSystem` with `System.advance`.
     """
     try:
         import control
@@ -27,6 +28,7 @@ def to_control(model: Dynamics, *, name: str | None = None) -> control.Nonlinear
         raise MissingExtra("to_control needs python-control: pip install 'sysid-evo[control]'") from error
 
     system = model.system
+    system.check_causal("to_control")
 
     def update(_: float, x: np.ndarray, u: np.ndarray, _params: Mapping[str, Any]) -> np.ndarray:
         return model.step(np.atleast_2d(x).astype(float), np.atleast_2d(u).astype(float))[0]

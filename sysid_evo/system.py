@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 
 from sysid_evo.angles import TURN, wrap
 from sysid_evo.display import Displayed, listed
-from sysid_evo.errors import InvalidArgument, InvalidSystem
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidSystem
 from sysid_evo.kernels import MotionKernel
 from sysid_evo.motion import Motion, MotionGradient, StraightGradient, motion_from_dict
 from sysid_evo.motion_kernels import STRAIGHT
@@ -106,7 +106,9 @@ class Channel:
 class System(Displayed):
     """States, controls, the sampling time ``dt`` in seconds, and the ``motion`` that turns states into a pose.
 
-    A name instead of a `Channel` is a channel without unit and limits.
+    A name instead of a `Channel` is a channel without unit and limits. With ``advance``, the control of the step from k
+    to k + 1 is the one logged at k + 1, as in records whose signals are all sampled at the same instant. Models of such
+    a system are for simulation only, see `check_causal`.
     """
 
     states: tuple[Channel, ...]
@@ -114,6 +116,7 @@ class System(Displayed):
     dt: float
     motion: Motion | None = None
     name: str = field(default="", compare=False)
+    advance: bool = False
 
     def __init__(
         self,
@@ -122,9 +125,10 @@ class System(Displayed):
         dt: float,
         motion: Motion | None = None,
         name: str = "",
+        advance: bool = False,
     ) -> None:
         given = {"states": _channels("states", states), "controls": _channels("controls", controls)}
-        for what, value in (given | {"dt": dt, "motion": motion, "name": name}).items():
+        for what, value in (given | {"dt": dt, "motion": motion, "name": name, "advance": advance}).items():
             object.__setattr__(self, what, value)
         if not self.states:
             raise InvalidSystem("system: expected at least one state channel, got none")
@@ -147,6 +151,7 @@ class System(Displayed):
             "controls": listed(map(_described, self.controls)),
             "dt": f"{self.dt:g} s",
             **({} if self.motion is None else {"motion": self.motion.kind}),
+            **({"advance": "a step has the control logged after it"} if self.advance else {}),
         }
 
     @property
@@ -220,6 +225,19 @@ class System(Displayed):
                 share = (control[..., i] - channel.low) / (channel.high - channel.low)
                 raw[..., i] = np.clip(2.0 * share - 1.0, -1.0, 1.0)
         return raw
+
+    def controls_of_steps(self, logged: Array) -> Array:
+        """Return the controls of T steps (T, nu), given those logged with each of the T + 1 samples."""
+        return logged[1:] if self.advance else logged[:-1]
+
+    def check_causal(self, use: str) -> None:
+        """Raise `IncompatibleSystem` with ``advance``: a controller does not know the command of the next sample."""
+        if self.advance:
+            raise IncompatibleSystem(
+                f"{use}: with advance, a step has the control that was logged after it. A controller does not know that "
+                "in time: models of this data are for simulation (compare --stop-after prediction). If the log only "
+                "stamps commands too late, correct the stamps there and import it without advance"
+            )
 
     def check_control(self, control: Array) -> Array:
         """Return ``control`` (nu,) as float64. Raises `ShapeError`, or `InvalidArgument` if it is not legal."""
@@ -356,6 +374,8 @@ class System(Displayed):
             found.append(f"{1 / self.dt:g} Hz against {1 / other.dt:g} Hz")
         if self.motion != other.motion:
             found.append(f"motion {_motion_text(self)} against {_motion_text(other)}")
+        if self.advance != other.advance:
+            found.append(f"controls logged {' against '.join(_logged(one) for one in (self, other))} each step")
         return tuple(found)
 
     def frame_rotation(self, state: Array) -> Array:
@@ -385,7 +405,7 @@ class System(Displayed):
 
     def with_dt(self, dt: float) -> System:
         """Return the same system sampled every ``dt`` seconds."""
-        return System(self.states, self.controls, dt, self.motion, self.name)
+        return replace(self, dt=dt)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the system as strict JSON."""
@@ -395,6 +415,7 @@ class System(Displayed):
             "states": [channel.to_dict() for channel in self.states],
             "controls": [channel.to_dict() for channel in self.controls],
             "motion": None if self.motion is None else self.motion.to_dict(),
+            **({"advance": True} if self.advance else {}),
         }
 
     @classmethod
@@ -406,6 +427,7 @@ class System(Displayed):
             dt=value["dt"],
             motion=None if value["motion"] is None else motion_from_dict(value["motion"]),
             name=value["name"],
+            advance=value.get("advance", False),
         )
 
 
@@ -427,6 +449,10 @@ def _motion_text(system: System) -> str:
     fields = system.motion.to_dict()
     kind = fields.pop("kind", "")
     return f"{kind} ({', '.join(f'{role} = {state}' for role, state in fields.items())})"
+
+
+def _logged(system: System) -> str:
+    return "after" if system.advance else "before"
 
 
 def _described(channel: Channel) -> str:

@@ -14,6 +14,7 @@ from evaluation.prediction.residuals import OneStepErrors, Residuals, analyse_re
 from evaluation.steps import Steps
 from sysid_evo.data import Dataset, RecordingQuality, recording_quality
 from sysid_evo.data.response import Delay, acting_controls
+from sysid_evo.data.timing import ControlTiming, control_timing
 from sysid_evo.data.support import Support, recorded_pairs, split_pairs
 from sysid_evo.data.trajectory import evenly_spaced, recording
 from sysid_evo.models import DynamicsModel
@@ -42,6 +43,10 @@ class Recordings:
     @cached_property
     def quality(self) -> RecordingQuality:
         return recording_quality(self.training) if self.known is None else self.known
+
+    @cached_property
+    def timing(self) -> ControlTiming | None:
+        return control_timing(self.training)
 
     @property
     def delays(self) -> list[Delay]:

@@ -116,6 +116,21 @@ def late_stamps(recordings: Recordings) -> Remark | None:
     return Remark("late stamps", sentence, RULE_WEIGHT * max(abs(one.strength) for one in early)) if early else None
 
 
+def simultaneous_samples(recordings: Recordings) -> Remark | None:
+    """Return a remark if simulations are clearly better with the control that was logged after each step."""
+    timing = recordings.timing
+    if timing is None or not timing.simultaneous:
+        return None
+    sentence = (
+        f"Simulations of held-out data are {timing.ratio:.2f} times as accurate if each step has the control that was "
+        f"logged after it (error {timing.after:.3f} instead of {timing.before:.3f} standard deviations), as in records "
+        "whose signals are sampled at the same instant: for models to simulate with, import the log with --advance, or "
+        "use Dataset.advanced(). No controller can use such models: for controllers, check whether the log stamps "
+        "commands too late."
+    )
+    return Remark("simultaneous samples", sentence, 1.0 - 1.0 / timing.ratio)
+
+
 def late_answers(recordings: Recordings) -> Remark | None:
     """Return a remark on the delay with which controls act."""
     late = [delay for delay in recordings.delays if delay.steps > 0]
@@ -176,6 +191,7 @@ CHECKS: tuple[Callable[[Recordings], Remark | None], ...] = (
     rare_commands,
     slow_switching,
     late_stamps,
+    simultaneous_samples,
     fast_states,
     uneven_stamps,
 )

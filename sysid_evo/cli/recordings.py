@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -33,6 +33,9 @@ def import_(
     condition_column: Annotated[str | None,
         option("Column that names the condition of each row; a change splits the log", "NAME",
         panel="Data and models")] = None,
+    advance: Annotated[bool,
+        option("Each step has the control that was logged after it, see inspect", "", "--advance",
+        panel="Data and models")] = False,
     overwrite: Annotated[bool, option("Replace the data set in --out", "", "--overwrite")] = False,
     plugin: Plugins = None,
 ) -> None:  # fmt: skip
@@ -45,6 +48,8 @@ def import_(
     check_new_folder(folder, overwrite=overwrite, replaced=(sysid_evo.data.HEADER, sysid_evo.data.SAMPLES))
     patterns = patterns_of(condition or ())
     recording = sysid_evo.data.read_recording(logs, columns=columns, condition_column=condition_column)
+    if advance:
+        recording = replace(recording, system=replace(recording.system, advance=True))
     dataset = sysid_evo.data.Dataset.of_recording(recording).label_conditions(patterns)
     dataset.save(folder)
     print_notes(dataset.notes, recording.remarks)

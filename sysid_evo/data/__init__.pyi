@@ -6,12 +6,14 @@ from .quality import RecordingQuality, recording_quality
 from .readers import Reader, Table
 from .reading import Recording, read_recording
 from .response import Delay, find_delays, manoeuvre_results
+from .timing import ControlTiming, control_timing
 from .trajectory import Trajectory, Windows
 
 __all__ = [
     "HEADER",
     "SAMPLES",
     "ColumnMap",
+    "ControlTiming",
     "Dataset",
     "Delay",
     "PreparedLog",
@@ -24,6 +26,7 @@ __all__ = [
     "Transitions",
     "Windows",
     "check_usable",
+    "control_timing",
     "find_delays",
     "is_stored_dataset",
     "load_columns",

@@ -138,7 +138,8 @@ class ColumnMap(_Strict):
     """A column map: control period ``dt`` in s, time, states, controls, pose, other columns, motion.
 
     ``condition`` is the column with the condition of each row, text or numbers. ``encoding`` is that of text logs.
-    With ``missing`` "drop", rows with missing numbers are left out; else they are an error.
+    With ``missing`` "drop", rows with missing numbers are left out; else they are an error. ``advance`` is that of the
+    `System`.
     """
 
     name: str
@@ -152,6 +153,7 @@ class ColumnMap(_Strict):
     condition: str | None = None
     encoding: str | None = None
     missing: Literal["refuse", "drop"] = "refuse"
+    advance: bool = False
 
     @field_validator("encoding")
     @classmethod
@@ -262,7 +264,7 @@ class ColumnMap(_Strict):
             neutral = math.nan if control.neutral is None else control.neutral
             controls.append(Channel(name, to_si(control.unit)[0], low, high, levels, neutral))
         motion = None if self.motion is None else self.motion_of_states
-        return System(states, tuple(controls), self.dt, motion, self.name)
+        return System(states, tuple(controls), self.dt, motion, self.name, self.advance)
 
 
 def load_columns(source: str | Path) -> ColumnMap:

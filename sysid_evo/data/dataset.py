@@ -26,7 +26,7 @@ from sysid_evo.data.frames import (
     unreadable,
     write_samples,
 )
-from sysid_evo.data.reading import Recording, paths_of, read_recording
+from sysid_evo.data.reading import ADVANCED, Recording, paths_of, read_recording
 from sysid_evo.data.trajectory import Trajectory, WindowIndex, Windows, as_columns, moving_rows, recording
 from sysid_evo.display import Displayed, listed
 from sysid_evo.errors import ArtefactError, DataWarning, IncompatibleSystem, InvalidArgument, InvalidData, ShapeError
@@ -111,7 +111,8 @@ class Dataset(Displayed):
         """Return a data set made from arrays: a list with one for each episode, or one array for one episode.
 
         States are (T + 1, nx). Controls are (T, nu), or (T + 1, nu) as in logs; the last row, which has no next state,
-        is then dropped. One state or one control may be 1-D. A system without controls needs none.
+        is then dropped (with `System.advance` the first one). One state or one control may be 1-D. A system without
+        controls needs none.
 
         Raises `ShapeError`, `InvalidArgument`.
         """
@@ -137,7 +138,7 @@ class Dataset(Displayed):
         for i, (x, u, name) in enumerate(zip(states, controls, names, strict=True)):
             x = check_shape(f"states of {name!r}", as_columns(x), (None, system.nx))
             u = check_shape(f"controls of {name!r}", as_columns(u), (None, system.nu))
-            u = u[:-1] if len(u) == len(x) else u
+            u = system.controls_of_steps(u) if len(u) == len(x) else u
             pose = None if poses is None else np.asarray(poses[i], dtype=np.float64)
             episodes.append(Trajectory(x, u, system.dt, pose, name))
         return cls(system, tuple(episodes))
@@ -289,6 +290,24 @@ class Dataset(Displayed):
             for array in (episode.states, episode.controls, episode.pose):
                 digest.update(b"none" if array is None else np.ascontiguousarray(array).reshape(-1).data)
         return digest.hexdigest()
+
+    def advanced(self) -> Dataset:
+        """Return the data set of the same system with `System.advance`: every step has the control of the next one.
+
+        It suits records whose signals are all sampled at the same instant, if `inspect` reports that. Each episode
+        loses its last step. Raises `InvalidArgument` if the system has ``advance`` already or no controls.
+        """
+        if self.system.advance or not self.system.nu:
+            raise InvalidArgument(
+                f"advanced: expected a system with controls and without advance, got "
+                f"{'advance' if self.system.advance else 'no controls'}"
+            )
+        episodes = [
+            replace(episode[:-1], controls=episode.controls[1:], name=episode.name)
+            for episode in self.episodes
+            if len(episode) > 1
+        ]
+        return Dataset(replace(self.system, advance=True), tuple(episodes), (*self.notes, ADVANCED))
 
     def with_episodes(self, episodes: Sequence[Trajectory]) -> Dataset:
         """Return a data set of the same system with other episodes."""
@@ -567,6 +586,11 @@ def as_dataset(given: object, caller: str, *, of: System | None = None) -> Datas
         if of is not None and (here.state_names, here.control_names) != (of.state_names, of.control_names):
             names = [", ".join((*one.state_names, *one.control_names)) for one in (of, here)]
             raise IncompatibleSystem(f"{caller}: the model has the channels {names[0]}, the data have {names[1]}")
+        if of is not None and here.advance != of.advance:
+            raise IncompatibleSystem(
+                f"{caller}: expected data {'with' if of.advance else 'without'} advance, as the model was fitted to; "
+                f"{'use Dataset.advanced()' if of.advance else 'import them again without it'}"
+            )
         return given
     parts = list(given) if isinstance(given, (list, tuple)) else []
     if parts and all(isinstance(part, Dataset) for part in parts):

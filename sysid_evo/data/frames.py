@@ -49,7 +49,7 @@ def episodes_of_frame(system: System, frame: pd.DataFrame, *, episode: str | Non
     return [
         Trajectory(
             states=table[list(system.state_names)].to_numpy(),
-            controls=table[list(system.control_names)].to_numpy()[:-1],
+            controls=system.controls_of_steps(table[list(system.control_names)].to_numpy()),
             dt=system.dt,
             pose=table[poses].to_numpy() if has_pose else None,
             name=name,
@@ -126,11 +126,12 @@ def frame_of(system: System, episodes: Sequence[Trajectory]) -> pd.DataFrame:
 def sample_table(system: System, episode: Trajectory) -> Array:
     """Return states, controls and pose as columns, one row per sample (T + 1, n).
 
-    The controls of the last sample, and the pose of an episode without one, are nan.
+    The controls of the last sample (with `System.advance` the first), and the pose of an episode without one, are nan.
     """
     blank = np.full((1, system.nu), np.nan)
+    controls = [blank, episode.controls] if system.advance else [episode.controls, blank]
     pose = np.full((len(episode) + 1, system.n_pose), np.nan) if episode.pose is None else episode.pose
-    return np.concatenate([episode.states, np.concatenate([episode.controls, blank]), pose], axis=1)
+    return np.concatenate([episode.states, np.concatenate(controls), pose], axis=1)
 
 
 def _padded(rewards: Array | None, steps: int) -> Array:
@@ -234,7 +235,7 @@ def read_samples(folder: Path) -> tuple[System, tuple[Trajectory, ...], tuple[st
             rows = slice(first, first + entry["steps"] + 1)
             first = rows.stop
             states = _columns(data, system.state_names, rows)
-            controls = _columns(data, system.control_names, rows)[:-1]
+            controls = system.controls_of_steps(_columns(data, system.control_names, rows))
             pose = _columns(data, pose_names(system), rows) if entry["pose"] else None
             rewards = data[REWARD][rows][:-1] if entry.get("rewards") else None
             name, condition, ending = entry["name"], entry.get("condition", ""), entry.get("ending", "")

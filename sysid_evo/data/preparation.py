@@ -106,7 +106,7 @@ def rows_as_episodes(log: RawLog, system: System) -> PreparedLog:
     episodes = [
         Trajectory(
             states=states[rows],
-            controls=log.controls[rows][:-1],
+            controls=system.controls_of_steps(log.controls[rows]),
             dt=system.dt,
             pose=pose[rows] if pose.size else None,
             name=log.name if len(runs) == 1 else f"{log.name}[{rows.start}:{rows.stop - 1}]",
@@ -207,7 +207,7 @@ def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap
         episodes.append(
             Trajectory(
                 states=smooth[ticks - samples[0] - margin],
-                controls=clock.hold(log.controls, rows, ticks[:-1]),
+                controls=clock.hold(log.controls, rows, system.controls_of_steps(ticks)),
                 dt=system.dt,
                 pose=trace[ticks - samples[0]] if pose.size else None,
                 name=log.name if len(runs) == 1 else f"{log.name}[{first}:{last}]",
@@ -223,7 +223,7 @@ def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap
     how = f"{', '.join(derived)} from the pose (5-point differences in the body frame); " if derived else ""
     how += "".join(f"{name} from {log.rates[name]} (5-point differences); " for name in lacking if name in log.rates)
     notes = [
-        f"{how}{len(taps)}-tap low-pass at {cutoff:g} Hz without delay, {1 / step:g} Hz decimated to "
+        f"{how}{len(taps)}-tap {FILTERED} at {cutoff:g} Hz without delay, {1 / step:g} Hz decimated to "
         f"{1 / system.dt:g} Hz; controls held; {margin * step:.2f} s left out at both ends of each part",
         *([clock.note] if clock.note else []),
         *_gaps(steps, period, max_gap, int(log.changes.sum()), len(runs) - len(episodes)),
@@ -377,6 +377,14 @@ def contiguous_rows(breaks: BoolArray) -> list[slice]:
 def _roughness(positions: Array, times: Array) -> float:
     velocities = np.diff(positions, axis=0) / np.diff(times)[:, None]
     return float(np.sum(np.diff(velocities, axis=0) ** 2))
+
+
+FILTERED = "low-pass"
+
+
+def is_filtered(notes: Sequence[str]) -> bool:
+    """Return whether ``notes`` report that samples were filtered by `prepare`: a response may precede its cause."""
+    return any(FILTERED in note for note in notes)
 
 
 LISTED = 4

@@ -27,6 +27,10 @@ from sysid_evo.system import System
 from sysid_evo.types import Array, IntArray
 
 
+ADVANCED = "advance: each step has the control that was logged after it; models of this data are for simulation"
+"""Note on data of a system with `System.advance`."""
+
+
 @dataclass(frozen=True)
 class Recording:
     """Logs of one system in SI units, with notes and remarks.
@@ -46,7 +50,7 @@ class Recording:
         Logs at the control rate are used row by row, faster ones are differentiated and filtered. Raises `InvalidData`.
         """
         prepared = [episodes_of(log, self.system) for log in self.logs]
-        notes = [*self.notes, *merged_notes(prepared), *self.remarks]
+        notes = [*self.notes, *merged_notes(prepared), *([ADVANCED] if self.system.advance else []), *self.remarks]
         episodes = [episode for one in prepared for episode in one.episodes]
         return tuple(episodes), tuple(dict.fromkeys(notes))
 

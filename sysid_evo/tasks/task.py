@@ -82,7 +82,11 @@ class Task(ABC):
     system: System
 
     def bind(self, system: System) -> Self:
-        """Return this task on ``system``. Raises `IncompatibleTask` with the role that it lacks."""
+        """Return this task on ``system``.
+
+        Raises `IncompatibleTask` with the role that it lacks, `IncompatibleSystem` if it has `System.advance`.
+        """
+        system.check_causal("a task for controllers")
         self.check_system(system)
         bound = copy.copy(self)
         bound.system = system
