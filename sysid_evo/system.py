@@ -231,7 +231,7 @@ class System(Displayed):
         return logged[1:] if self.advance else logged[:-1]
 
     def check_causal(self, use: str) -> None:
-        """Raise `IncompatibleSystem` with ``advance``: a controller does not know the command of the next sample."""
+        """Raise `IncompatibleSystem` with ``advance``: controllers do not know the command of the next sample."""
         if self.advance:
             raise IncompatibleSystem(
                 f"{use}: with advance, a step has the control that was logged after it. A controller does not know that "

@@ -14,8 +14,8 @@ from evaluation.prediction.residuals import OneStepErrors, Residuals, analyse_re
 from evaluation.steps import Steps
 from sysid_evo.data import Dataset, RecordingQuality, recording_quality
 from sysid_evo.data.response import Delay, acting_controls
-from sysid_evo.data.timing import ControlTiming, control_timing
 from sysid_evo.data.support import Support, recorded_pairs, split_pairs
+from sysid_evo.data.timing import ControlTiming, control_timing
 from sysid_evo.data.trajectory import evenly_spaced, recording
 from sysid_evo.models import DynamicsModel
 from sysid_evo.system import System

@@ -26,7 +26,6 @@ from sysid_evo.errors import InvalidArgument, InvalidData, did_you_mean
 from sysid_evo.system import System
 from sysid_evo.types import Array, IntArray
 
-
 ADVANCED = "advance: each step has the control that was logged after it; models of this data are for simulation"
 """Note on data of a system with `System.advance`."""
 

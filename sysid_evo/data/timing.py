@@ -15,7 +15,7 @@ from sysid_evo.system import System
 from sysid_evo.types import Array, IntArray
 
 CLEAR = 1.05
-"""Least ratio of the errors at which `ControlTiming` is simultaneous, set with `tests.benchmarks.timing_of_controls`."""
+"""Least ratio of the errors at which a timing is `ControlTiming.simultaneous`."""
 
 HORIZON = 4
 """Steps of a simulation: a wrong timing shows at once, and later the errors of the polynomials hide it."""
