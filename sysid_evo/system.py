@@ -234,8 +234,8 @@ class System(Displayed):
         """Raise `IncompatibleSystem` with ``advance``: controllers do not know the command of the next sample."""
         if self.advance:
             raise IncompatibleSystem(
-                f"{use}: with advance, a step has the control that was logged after it, which a controller does not know "
-                "in time. Models of this data are for simulation (compare --stop-after prediction). If the log only "
+                f"{use}: with advance, a step has the control that was logged after it, and a controller does not know "
+                "it in time. Models of this data are for simulation (compare --stop-after prediction). If the log only "
                 "stamps commands too late, correct the stamps there and import it without advance"
             )
 
