@@ -207,7 +207,7 @@ def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap
         episodes.append(
             Trajectory(
                 states=smooth[ticks - samples[0] - margin],
-                controls=clock.hold(log.controls, rows, system.controls_of_steps(ticks)),
+                controls=system.controls_of_steps(clock.hold(log.controls, rows, ticks)),
                 dt=system.dt,
                 pose=trace[ticks - samples[0]] if pose.size else None,
                 name=log.name if len(runs) == 1 else f"{log.name}[{first}:{last}]",
