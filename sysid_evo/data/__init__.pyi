@@ -1,5 +1,5 @@
 from .columns import ColumnMap, load_columns
-from .dataset import Dataset, Transitions, check_usable
+from .dataset import Dataset, Transitions
 from .frames import HEADER, SAMPLES, is_stored_dataset
 from .preparation import PreparedLog, RawLog, prepare, rows_as_episodes
 from .quality import RecordingQuality, recording_quality
@@ -8,6 +8,7 @@ from .reading import Recording, read_recording
 from .response import Delay, find_delays, manoeuvre_results
 from .timing import ControlTiming, control_timing
 from .trajectory import Trajectory, Windows
+from .usable import check_usable
 
 __all__ = [
     "HEADER",

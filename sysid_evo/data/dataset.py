@@ -515,67 +515,6 @@ def _step(t: float | npt.ArrayLike | Sequence[npt.ArrayLike], runs: Sequence[Arr
     return dt
 
 
-STEPS_PER_CHANNEL = 10
-"""Least number of steps per state, per control and one more; with fewer, a linear model is poorly determined."""
-
-
-def check_usable(dataset: Dataset, *, horizon: int = 10, first: int = 5, name: str = "data set") -> None:
-    """Raise `InvalidData` if ``dataset`` is too short to fit or test a model, or shows no motion.
-
-    It needs one episode of ``first + horizon`` steps (a prediction over ``horizon`` steps after ``first`` samples of
-    history), and in all ten steps for each channel and one more. ``name`` begins the message.
-    """
-    system = dataset.system
-    longest = max(dataset, key=len)
-    wanted = STEPS_PER_CHANNEL * (system.nx + system.nu + 1)
-    if len(longest) < first + horizon or dataset.n_steps < wanted:
-        raise InvalidData(
-            f"{name}: expected an episode of {first + horizon} steps or more, to predict {horizon} steps after {first} "
-            f"of history, and {wanted} steps in all for {system.nx + system.nu} states and controls; got "
-            f"{dataset.n_steps} steps of {system.dt:g} s, the longest episode {longest.name!r} with {len(longest)}. "
-            "Record for longer, or read in the notes of the import why samples were removed"
-        )
-    if not any(rows.any() for rows in dataset.moving):
-        raise InvalidData(f"{name}: the robot never moves; record it in motion")
-
-
-LARGEST = 1e30
-"""Largest recorded number. All families can be fitted up to this size; squares and fourth powers overflow later (1e75
-for Gaussian processes), the float32 of compiled models at 3e38."""
-CONSTANT = 1e-12
-"""Rounding errors of a constant state, as a share of its size."""
-
-
-FEWEST = 15
-"""Steps of one window of `check_usable`; an error over fewer steps is meaningless."""
-
-
-def warnings_about(dataset: Dataset) -> Iterator[str]:
-    """Yield the reasons why the error of a model fitted to ``dataset`` is meaningless, to follow the model's name.
-
-    Raises `InvalidData` for numbers that are too large to compute with.
-    """
-    system, states = dataset.system, np.concatenate([episode.states for episode in dataset])
-    controls = np.concatenate([episode.controls for episode in dataset])
-    size = np.abs(states).max(axis=0)
-    names = (*system.state_names, *system.control_names)
-    for name, most in zip(names, (*size, *np.abs(controls).max(axis=0)), strict=True):
-        if most > LARGEST:
-            raise InvalidData(
-                f"data set: expected numbers up to {LARGEST:g}, got {most:g} in {name!r}: look for a broken sample, or "
-                "use a larger unit"
-            )
-    wanted = max(FEWEST, 2 * (len(names) + 1))  # a linear model fits half as many exactly, whatever they are
-    if dataset.n_steps < wanted:
-        yield (
-            f"is fitted to {dataset.n_steps} steps, too few for {len(names)} states and controls: expected at least "
-            f"{wanted}, better {STEPS_PER_CHANNEL * (len(names) + 1)}. Its error does not carry over to other data; "
-            "record for longer"
-        )
-    if (np.ptp(states, axis=0) <= np.maximum(CONSTANT * size, 1.0 / LARGEST)).all():  # one may: a body that never slips
-        yield "learns nothing: no state changes in the recording, so an error of 0 is meaningless"
-
-
 def as_dataset(given: object, caller: str, *, of: System | None = None) -> Dataset:
     """Return ``given`` as one data set; a list is joined. Raises `InvalidData` that shows the correct call.
 

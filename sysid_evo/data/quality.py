@@ -10,9 +10,10 @@ from itertools import product
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from sysid_evo.data.dataset import Dataset, check_usable
+from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.preparation import RawLog
 from sysid_evo.data.response import LATEST_STEPS, Delay, find_delays, fit_linear
+from sysid_evo.data.usable import check_usable
 from sysid_evo.errors import InvalidData
 from sysid_evo.system import Channel
 from sysid_evo.types import Array, IntArray

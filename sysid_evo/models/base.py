@@ -16,9 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid_evo.carry import CarryLayout, dead_band_size, hold_at_rest
-from sysid_evo.data.dataset import Dataset, as_dataset, from_samples, subsample, warnings_about
+from sysid_evo.data.dataset import Dataset, as_dataset, from_samples, subsample
 from sysid_evo.data.support import recorded_pairs
 from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.data.usable import warnings_about
 from sysid_evo.display import html_table, line_of
 from sysid_evo.errors import DataWarning, IncompatibleSystem, InvalidArgument, InvalidData, NotFitted
 from sysid_evo.extras import DISTRIBUTION, missing_extra
