@@ -9,6 +9,7 @@ from model_zoo.features import FUNCTIONS
 from model_zoo.state_space.units import UNITS
 from sysid_evo.data import Dataset
 from sysid_evo.engine import kernel_step
+from sysid_evo.models.adaptation import selection
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import models
 from sysid_evo.testing import MODEL, example_dataset
@@ -48,16 +49,19 @@ def test_states_far_from_zero_step_equally(family):
 
 
 @pytest.mark.nightly
-def test_an_adapted_model_steps_around_a_base_with_lags():
+@pytest.mark.parametrize("kind", ["action", "linear", "action + gains"])
+def test_an_adapted_model_steps_around_a_base_with_lags(kind, monkeypatch):
+    monkeypatch.setattr(selection, "KINDS", (kind,))
     base = make_model("narx", degree=2, terms=8, state_lags=1, control_lags=1)
     adapted = base.fit(drive(FloorCar(), seconds=60.0, seed=1), rng=0).adapt(drive(OTHER, seconds=30.0, seed=3))
     assert adapted.n_lags == 1
-    assert adapted.coefficients_.any()
+    assert adapted.chosen_.startswith(f"{kind}, ridge")
     on(drive(OTHER, seconds=6.0, seed=6), adapted, atol=1e-9)
 
 
 @pytest.mark.nightly
-def test_a_mean_of_a_correction_and_more_training_steps_in_one_kernel():
+def test_a_mean_of_a_correction_and_more_training_steps_in_one_kernel(monkeypatch):
+    monkeypatch.setattr(selection, "EQUAL_SHARE", 0.0)
     small = {"members": 2, "hidden": [8], "state_lags": 0, "control_lags": 1, "one_step_updates": 200, "updates": 20}
     network = make_model("mlp_ensemble", **small, horizon=10).fit(drive(FloorCar(), seconds=60.0, seed=1), rng=0)
     between = network.adapt(drive(OTHER, seconds=20.0, seed=3, noise=0.05), rng=0)
