@@ -19,7 +19,7 @@ from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import Limit, at_least
 from sysid_evo.models.stochastic import StochasticModel
 from sysid_evo.progress import Counter, Progress
-from sysid_evo.types import Array
+from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.folds import time_fold
 from sysid_evo.validation.held_out import best_candidate, count_fits, lag_candidates
 from sysid_evo.validation.intervals import (
@@ -40,6 +40,9 @@ HIDDEN = (48, 48)
 SEARCH_UPDATES = (600, 120)
 """Most updates on single steps and on simulations while lags are chosen."""
 
+DIVERGED_RATIO = 3.0
+"""A member is left out if its error on its held-out blocks exceeds this multiple of the median of all members."""
+
 OFFERED = {"all": ((1, 3), (2, 4)), "few": ((0, 0), (1, 3))}
 
 
@@ -50,9 +53,9 @@ class MlpEnsemble(StochasticModel):
     Each of the ``members`` is trained without every ``folds``-th block of time (other blocks for each member):
     ``one_step_updates`` updates on single steps, then ``updates`` on simulations of ``horizon`` steps from measured
     states, to which ``input_noise`` is added (in units of the one-step change). It keeps the weights that simulate its
-    held-out blocks best over one second. ``hidden`` lists the widths of the tanh layers (default 48, 48). Lags left at
-    None are chosen on the held-out blocks, by ``lag_search="few"`` only between none and (1, 3). Periodic states enter
-    as sine and cosine.
+    held-out blocks best over one second; a member whose error there exceeds three times the median of all is left out.
+    ``hidden`` lists the widths of the tanh layers (default 48, 48). Lags left at None are chosen on the held-out
+    blocks, by ``lag_search="few"`` only between none and (1, 3). Periodic states enter as sine and cosine.
 
     If a planar body is steered by the controls ``steering``, half of the windows are mirrored left to right, with a
     flag as input, so that both sides share data and may still differ. The flag is fixed after the fit.
@@ -126,17 +129,20 @@ class MlpEnsemble(StochasticModel):
             few = min(3, self.members)
             lags = best_candidate(options, lambda option: float(np.mean(trained(dataset, option, few, search)[1])))
             self.record_lags(lags)
-            network, _ = trained(dataset, lags, self.members, final)
-            self.weights_, self.biases_ = list(network.weights), list(network.biases)
+            network, errors = trained(dataset, lags, self.members, final)
+            kept = held_together(errors)
+            self.weights_, self.biases_ = [w[kept] for w in network.weights], [b[kept] for b in network.biases]
+            if len(kept) < self.members:
+                self.left_out_ = self.members - len(kept)
             parts = [time_fold(dataset, member, self.folds)[0] for member in range(self.members)]
             usable = min(training_horizon(part, self.horizon, self.n_lags) for part in parts)
             if usable < self.horizon:
                 self.training_horizon_ = usable
             growth = growth_on_unseen_recordings(quick_fit, dataset, steps=HORIZONS) if rough else None
         if self.stochastic:
-            self._calibrate_horizons(dataset, growth, rng, lambda: counter.advance(0))
+            self._calibrate_horizons(dataset, kept, growth, rng, lambda: counter.advance(0))
         else:
-            self._calibrate(dataset, rng, lambda: counter.advance(0))
+            self._calibrate(dataset, kept, rng, lambda: counter.advance(0))
         return self
 
     def fine_tuned(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self:
@@ -164,12 +170,14 @@ class MlpEnsemble(StochasticModel):
             f"trained on simulations of {steps} steps in place of {self.horizon}, because episodes are short; single "
             "steps of all episodes are used"
         )
-        return "; ".join(filter(None, (super().fit_note, short if steps else "")))
+        left = getattr(self, "left_out_", None)
+        diverged = f"{left} of {self.members} networks are left out, because they diverge on their held-out blocks"
+        return "; ".join(filter(None, (super().fit_note, short if steps else "", diverged if left else "")))
 
     def learned_arrays(self) -> Mapping[str, Declared]:
         seen = Features(self.system, self.lags).n_carry + self.system.nu
-        horizon = Numbers(whole=True, least=1, optional=True)
-        return declared_layers(self.weights_, seen, self.system.nx) | {"training_horizon_": horizon}
+        count = Numbers(whole=True, least=1, optional=True)
+        return declared_layers(self.weights_, seen, self.system.nx) | {"training_horizon_": count, "left_out_": count}
 
     def acceleration(self, carry: Array, control: Array) -> Array:
         return self._members(carry, control).mean(axis=0)
@@ -199,18 +207,22 @@ class MlpEnsemble(StochasticModel):
         other.weights_, other.biases_ = list(network.weights), list(network.biases)
         return other
 
-    def _calibrate(self, dataset: Dataset, rng: np.random.Generator, heartbeat: Callable[[], None]) -> None:
+    def _calibrate(
+        self, dataset: Dataset, kept: IntArray, rng: np.random.Generator, heartbeat: Callable[[], None]
+    ) -> None:
         """Set the one-step residual (nx,) and the scale of the noise (nx,) from errors on held-out blocks.
+
+        ``kept`` are the numbers of the members among all that were trained, which are those of their blocks.
 
         The reference for the intervals is the simulation of the whole ensemble plus the error of each member on its
         held-out blocks.
         """
         parts, residuals = [], []
         together = self._deterministic(self.network)
-        for member in range(self.members):
+        for place, member in enumerate(kept.tolist()):
             heartbeat()
             windows = error_windows(time_fold(dataset, member, self.folds)[1], self.n_lags, stride=10)
-            single = self._of_member(member)
+            single = self._of_member(place)
             history = windows.past_states, windows.past_controls, windows.controls
             error = windows.states - single.simulate(*history)
             residuals.append(error[:, 0])
@@ -219,13 +231,18 @@ class MlpEnsemble(StochasticModel):
         self.keep_one_scale(conformal_scale([(self, part) for part in parts], rng, heartbeat=heartbeat))
 
     def _calibrate_horizons(
-        self, dataset: Dataset, growth: Array | None, rng: np.random.Generator, heartbeat: Callable[[], None]
+        self,
+        dataset: Dataset,
+        kept: IntArray,
+        growth: Array | None,
+        rng: np.random.Generator,
+        heartbeat: Callable[[], None],
     ) -> None:
         """Learn the spread of `StochasticModel` from the errors of each member on its held-out blocks.
 
         ``growth`` (4, nx) multiplies them: the ratio of errors on unseen recordings after 1, 10, 20, 60 steps.
         """
-        held = [time_fold(dataset, member, self.folds)[1] for member in range(self.members)]
+        held = [time_fold(dataset, member, self.folds)[1] for member in kept.tolist()]
         horizon = usable_horizon(held, self.n_lags)
         steps = np.arange(1, horizon + 1)
         factors = np.ones((len(HORIZONS), self.system.nx)) if growth is None else growth
@@ -235,7 +252,7 @@ class MlpEnsemble(StochasticModel):
         for member, part in enumerate(held):
             heartbeat()
             single = self._of_member(member)
-            case = Case.of(self, part, horizon, MAX_WINDOWS // self.members)
+            case = Case.of(self, part, horizon, MAX_WINDOWS // len(kept))
             history = case.windows.past_states, case.windows.past_controls, case.windows.controls
             error = case.windows.states - single.simulate(*history)
             moved = replace(case.windows, states=together.simulate(*history) + times * error)
@@ -248,6 +265,12 @@ class MlpEnsemble(StochasticModel):
         residual = np.sqrt(np.mean(pooled**2, axis=0))
         self.keep_spread(residual, persistent, np.ones_like(factors))
         self.keep_spread(residual, persistent, horizon_scales(cases, persistent, rng, heartbeat=heartbeat))
+
+
+def held_together(errors: Array) -> IntArray:
+    """Return the numbers of the members that do not diverge, from the errors (M,) on their held-out blocks."""
+    limit = DIVERGED_RATIO * np.median(errors)
+    return np.flatnonzero(errors <= limit) if np.isfinite(limit) else np.arange(len(errors))
 
 
 class DifferenceNetworks(DifferentiableSimulation):

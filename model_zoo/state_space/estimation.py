@@ -20,8 +20,8 @@ SHORT, MIDDLE = 100, 300
 """Steps of the first and the following simulations: long ones of a poor model carry little information."""
 UNSTABLE, STABLE = 1.0005, 0.999
 """Spectral radius above which a linear space is unstable, and its value after stabilisation."""
-MAX_REORDERED, BLOCK, SHUFFLES, OUTPUT_MULTIPLE = 3000, 25, 8, 1.5
-"""Steps under reordered controls, length of the permuted blocks, number of permutations, and the multiple of the
+MAX_REORDERED, BLOCK, SHUFFLES, OUTPUT_MULTIPLE = 10_000, 25, 8, 1.5
+"""Most steps under reordered controls, length of the permuted blocks, number of permutations, and the multiple of the
 largest recorded output that counts as divergence."""
 HOLD_FACTOR, AMPLITUDE_FACTOR = 2, 1.25
 """Factors by which controls are held longer, and by which their distance from the mean is larger, within their
@@ -157,13 +157,13 @@ class EstimationProblem:
         off = (runs - outputs[:, history + 1 :]) ** 2 * counts
         return float(off.sum() / max(counts.sum() * ny, 1.0))
 
-    def escapes(self, spaces: StateSpaceBatch, observers: list[StateObserver]) -> BoolArray:
-        """Return which spaces (S,) diverge under plausible other controls.
+    def escapes(self, spaces: list[StateSpaceBatch], observers: list[StateObserver]) -> BoolArray:
+        """Return which members (S,), each a batch of one space, diverge under plausible other controls.
 
-        The recorded controls are reversed and permuted in blocks; a space diverges if an output goes far beyond the
-        recorded ones. Of three or more spaces, one also diverges if it is far from the median of all, under these
-        controls, under controls held longer, or under larger ones: only the other spaces show that the system itself
-        would not.
+        The recorded controls are reversed and permuted in blocks, for as long as the longest episode (at most 10 000
+        steps); a member diverges if an output goes far beyond the recorded ones. Of three or more members, one also
+        diverges if it is far from the median of all, under these controls, under controls held longer, or under larger
+        ones: only the other members show that the system itself would not.
         """
         longest = max(self.parts, key=len)
         ny, controls = longest.outputs.shape[1], longest.controls[:MAX_REORDERED]
@@ -175,10 +175,11 @@ class EstimationProblem:
         slower = np.array_split(controls.repeat(HOLD_FACTOR, axis=0), HOLD_FACTOR)
         low, middle, high = controls.min(axis=0), controls.mean(axis=0), controls.max(axis=0)
         louder = np.clip(middle + AMPLITUDE_FACTOR * (controls - middle), low, high)
-        first = np.stack([own.first[:, ny] for own in observers])[:, None]
 
         def runs(driven: list[Array]) -> Array:
-            return spaces.run(first.repeat(len(driven), axis=1), np.stack(driven))[..., :ny]
+            first = [own.first[None, None, :, ny].repeat(len(driven), axis=1) for own in observers]
+            each = zip(spaces, first, strict=True)
+            return np.concatenate([space.run(begin, np.stack(driven))[..., :ny] for space, begin in each])
 
         reordered = runs([controls[order] for order in orders])
         limit = OUTPUT_MULTIPLE * np.max([np.abs(part.outputs).max(axis=0) for part in self.parts], axis=0)

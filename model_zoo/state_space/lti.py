@@ -105,7 +105,7 @@ class LtiSystem(StateSpaceModel):
         neutral, idle = self.system.neutral_state[None], self.system.neutral_control[None]
         hidden = neutral @ self.first_[:, :-1].T + self.first_[:, -1]
         for _ in range(SETTLING):
-            hidden = self._advanced(neutral, hidden, idle)
+            hidden = self._observed(neutral, hidden, idle)
         self.rest_ = np.asarray(hidden[0])
 
     @property

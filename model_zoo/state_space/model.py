@@ -36,7 +36,8 @@ class StateSpaceModel(DynamicsModel):
     member has its own states; the output is their weighted mean. In a simulation y is the model's own output, and the
     correction is zero. If y is replaced, by a measurement, a limit or another model, it corrects the hidden states.
     `start` runs this observer over the last ``n_lags_`` samples, except copies of the first state under neutral
-    controls.
+    controls; there each member is corrected by the error of its own output, so that members with different errors all
+    reach the measured one.
     """
 
     knowledge = "black"
@@ -82,7 +83,7 @@ class StateSpaceModel(DynamicsModel):
         neutral, idle = self.system.neutral_state[None], self.system.neutral_control[None]
         hidden = neutral @ self.first_[:, :-1].T + self.first_[:, -1]
         for _ in range(SETTLING):
-            hidden = self._advanced(neutral, hidden, idle)
+            hidden = self._observed(neutral, hidden, idle)
         self.rest_ = np.asarray(hidden[0])
 
     def learned_arrays(self) -> Mapping[str, Declared]:
@@ -110,13 +111,14 @@ class StateSpaceModel(DynamicsModel):
         repeated = np.ones(len(states), dtype=bool)
         for k in range(controls.shape[1]):
             repeated &= (states[:, k] == states[:, 0]).all(axis=1) & (controls[:, k] == idle).all(axis=1)
-            after = self._advanced(states[:, k], hidden, controls[:, k])
+            after = self._observed(states[:, k], hidden, controls[:, k])
             hidden = np.where(repeated[:, None], hidden, after)
         return np.concatenate([states[:, -1], hidden], axis=1)
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         ny, system = self.system.nx, self.system
-        hidden = self._advanced(carry[:, :ny], carry[:, ny:], control)
+        off = carry[:, :ny] - carry[:, ny:] @ self.output_.T - self.offset_
+        hidden = self._corrected(carry[:, ny:], control, off @ self.gain_.T)
         after = hidden @ self.output_.T + self.offset_
         if system.limited:
             after = np.clip(after, *system.limits)
@@ -156,11 +158,25 @@ class StateSpaceModel(DynamicsModel):
             np.concatenate([outer, np.full(len(self.rest_), 2.0 * REST_BAND)]),
         )
 
-    def _advanced(self, outputs: Array, hidden: Array, control: Array) -> Array:
-        """Return the next hidden states (B, n), corrected by the errors of ``outputs`` (B, ny)."""
-        off = outputs - hidden @ self.output_.T - self.offset_
+    def _corrected(self, hidden: Array, control: Array, correction: Array) -> Array:
+        """Return the next hidden states (B, n) after adding the ``correction`` (B, n)."""
         after = rk4(lambda at: self._rates(at, control), hidden, 1.0) if self.flows else self._rates(hidden, control)
-        return np.clip(after + off @ self.gain_.T, -DIVERGED_DISTANCE, DIVERGED_DISTANCE)
+        return np.clip(after + correction, -DIVERGED_DISTANCE, DIVERGED_DISTANCE)
+
+    def _observed(self, measured: Array, hidden: Array, control: Array) -> Array:
+        """Return the next hidden states (B, n), each member corrected by the error of its own output (B, ny)."""
+        if len(self.outer_) == 1:
+            return self._corrected(hidden, control, (measured - hidden @ self.output_.T - self.offset_) @ self.gain_.T)
+        ends, ny = np.cumsum([len(outer) for outer in self.outer_]), self.system.nx
+        firsts = [slice(end - len(outer), end - len(outer) + ny) for end, outer in zip(ends, self.outer_, strict=True)]
+        output = np.sum(
+            [self.output_[:, first] for first in firsts], axis=0
+        )  # a block is this times the weight of a member
+        errors = [measured - hidden[:, first] @ output.T - self.offset_ for first in firsts]
+        gains = np.split(self.gain_, ends[:-1])
+        return self._corrected(
+            hidden, control, np.concatenate([off @ gain.T for off, gain in zip(errors, gains, strict=True)], axis=1)
+        )
 
     def _rates(self, hidden: Array, control: Array) -> Array:
         """Return the next states (B, n) before any correction, or the rates of a flow."""

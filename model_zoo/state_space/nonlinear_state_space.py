@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.state_space.estimation import EstimationProblem, joined
+from model_zoo.state_space.estimation import EstimationProblem, StateObserver, joined
 from model_zoo.state_space.linear_state_space import STEPS, LinearStateSpace
 from model_zoo.state_space.model import StateSpaceModel
 from model_zoo.state_space.shooting import StateSpaceBatch, Trained, train
@@ -17,23 +17,23 @@ from sysid_evo import register_model
 from sysid_evo.data import Dataset
 from sysid_evo.models.parameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
-from sysid_evo.types import Array, IntArray
+from sysid_evo.types import Array, BoolArray, IntArray
 from sysid_evo.validation.folds import FOLDS, time_fold
 from sysid_evo.validation.simulation_error import error_windows, simulation_error
 
 MIN_STATES, MAX_STATES, ORDERS = 2, 6, 3
 """Lowest and highest order that is tried, and how many are tried in any case."""
-FINALISTS, N_CONTINUED = 2, 3
-"""Orders whose networks are trained longer, and how many of those networks continue with long simulations."""
+FINALISTS, COMPARABLE = 2, 1.0
+"""Most orders whose networks are averaged, and how far the criterion of the second may be above that of the best."""
 MAX_WIDENINGS = 3
 """How often networks may become wider."""
 N_MIXTURES = 4
 """Number of unit mixtures from which further networks start, and of networks scored per order."""
-SHARPNESS = 40.0
+SHARPNESS = 4.0
 """How fast the weight of a member falls with its criterion per sample."""
-DIVERGED = 10.0
-"""Added to the criterion of a member that diverges."""
-NEGLIGIBLE = 0.08
+UNDETERMINED = 0.5
+"""Share of diverging members from which on all members of an order are left out."""
+NEGLIGIBLE = 0.2
 """Weight, as a share of the largest, below which a member is left out."""
 
 FEW_SAMPLES, REQUIRED_RATIO = 600, 0.9
@@ -68,23 +68,15 @@ class NetworkStateSpace(StateSpaceModel):
         ny = dataset.system.nx
         least = max(MIN_STATES, ny)
         orders = [max(self.order, ny)] if self.order else list(range(least, max(MAX_STATES, least + ORDERS - 1) + 1))
-        parts = (
-            (3 * len(orders) + 3 * FINALISTS + 3 + 2 * MAX_WIDENINGS) * self.screening_iterations
-            + 2 * self.iterations
-            + 1
-        )
-        counter = Counter(progress, parts)
+        each = (3 + 2 * MAX_WIDENINGS) * self.screening_iterations + 2 * self.iterations
+        counter = Counter(progress, 3 * len(orders) * self.screening_iterations + FINALISTS * each + 1)
         problem = EstimationProblem.of(dataset, self.horizon, flow=self.continuous)
         tried = self._of_orders(problem, orders, rng, counter)
-        finalist = self._finalist(problem, sorted(tried, key=lambda one: one.found), counter)
-        likely = finalist.likely(problem)
-        more = self._started(problem, finalist.linear, list(islice(cycle(likely), 2 * self.members)), rng, counter)
-        pool = joined(finalist.networks, more)
-        pool = problem.learned(pool.spaces, pool.starts, 2 * self.screening_iterations, counter.advance)
-        trained = best_networks(pool, problem, self.members)
-        trained = problem.learned(trained.spaces, trained.starts, self.iterations, counter.advance)
-        trained = problem.lengthened(trained, finalist.linear.spaces, self.iterations, counter.advance)
-        trained = self._wide_enough(problem, trained, likely, rng, counter)
+        ranked = sorted(tried, key=lambda one: one.found)
+        finalists = [one for one in ranked[:FINALISTS] if one.found <= ranked[0].found + COMPARABLE]
+        count = -(-self.members // len(finalists))
+        trained = [self._continued(problem, one, count, rng, counter) for one in finalists]
+        counter.advance((FINALISTS - len(finalists)) * each)
         self._mean_of(problem, trained, [one.linear for one in tried])
         if self.gated and not self.linear_order_ and dataset.n_steps < FEW_SAMPLES:
             self._gate(dataset, rng)
@@ -121,19 +113,18 @@ class NetworkStateSpace(StateSpaceModel):
         counter.advance(3 * self.screening_iterations * (len(orders) - len(tried)))
         return tried
 
-    def _finalist(self, problem: EstimationProblem, tried: list[OrderCandidate], counter: Counter) -> OrderCandidate:
-        """Return the best of the first `FINALISTS` orders after further training, by simulations from history."""
-        finalists = tried[:FINALISTS] if len(tried) > 1 else []
-        scores = []
-        for one in finalists:
-            own = best_networks(one.networks, problem, N_MIXTURES)
-            own = problem.learned(own.spaces, own.starts, 2 * self.screening_iterations, counter.advance)
-            own = problem.lengthened(
-                best_networks(own, problem, N_CONTINUED), one.linear.spaces, self.screening_iterations, counter.advance
-            )
-            scores.append(from_history(own, problem))
-        counter.advance(3 * self.screening_iterations * (FINALISTS - len(scores)))
-        return finalists[int(np.argmin(scores))] if scores else tried[0]
+    def _continued(
+        self, problem: EstimationProblem, one: OrderCandidate, count: int, rng: np.random.Generator, counter: Counter
+    ) -> Trained:
+        """Return ``count`` networks of one order, the best of those tried and of as many more, trained to the end."""
+        likely = one.likely(problem)
+        more = self._started(problem, one.linear, list(islice(cycle(likely), 2 * count)), rng, counter)
+        pool = joined(one.networks, more)
+        pool = problem.learned(pool.spaces, pool.starts, 2 * self.screening_iterations, counter.advance)
+        trained = best_networks(pool, problem, count)
+        trained = problem.learned(trained.spaces, trained.starts, self.iterations, counter.advance)
+        trained = problem.lengthened(trained, one.linear.spaces, self.iterations, counter.advance)
+        return self._wide_enough(problem, trained, likely, rng, counter)
 
     def _wide_enough(
         self,
@@ -189,26 +180,20 @@ class NetworkStateSpace(StateSpaceModel):
             self.flow_ = False
         self.linear_order_ = len(self.rest_)
 
-    def _mean_of(self, problem: EstimationProblem, trained: Trained, linear: list[Trained]) -> None:
+    def _mean_of(self, problem: EstimationProblem, trained: list[Trained], linear: list[Trained]) -> None:
         """Become the mean of the networks, or the best linear space if its criterion is lower than all of theirs."""
-        observers, found = problem.assessed(trained)
-        found = criterion(found, trained.spaces, problem)
-        plain = [(own, *problem.assessed(own)) for own in linear]
-        scores = [float(criterion(errors, own.spaces, problem)[0]) for own, _, errors in plain]
+        spaces, observers, found = members_of(trained, problem)
+        plain, of_plain, scores = members_of(linear, problem)
         self.linear_order_ = 0
-        if min(scores) <= found.min():
-            own, of_it, _ = plain[int(np.argmin(scores))]
-            self.linear_order_ = own.spaces.n
-            self.set_learned(problem.scales, [own.spaces], of_it, np.ones(1))
+        if scores.min() <= found.min():
+            best = int(np.argmin(scores))
+            self.linear_order_ = plain[best].n
+            self.set_learned(problem.scales, [plain[best]], [of_plain[best]], np.ones(1))
             return
-        diverged = problem.escapes(trained.spaces, observers)
-        found = found + np.where(diverged & ~diverged.all(), DIVERGED, 0.0)
-        weights = np.exp(-SHARPNESS * (found - found.min()))
-        kept = np.flatnonzero(weights > NEGLIGIBLE).tolist()
-        chosen = [observers[i] for i in kept]
-        self.set_learned(
-            problem.scales, [trained.spaces[[i]] for i in kept], chosen, weights[kept] / weights[kept].sum()
-        )
+        diverged = with_whole_orders(problem.escapes(spaces, observers), np.array([space.n for space in spaces]))
+        weights = mean_weights(found, diverged, self.members)
+        kept = np.flatnonzero(weights).tolist()
+        self.set_learned(problem.scales, [spaces[i] for i in kept], [observers[i] for i in kept], weights[kept])
 
 
 @register_model("nonlinear_state_space")
@@ -222,14 +207,15 @@ class NonlinearStateSpace(NetworkStateSpace):
     with analytic gradients fits them to simulations of 100 and finally of ``horizon`` steps with free initial states
     and a normal prior on W and V; correlated residuals count less. After ``screening_iterations`` they are compared by
     the Bayesian information criterion (Schwarz 1978) of long simulations that start from the observer's estimate. The
-    search ends after two orders without improvement, and the two best orders are trained further to decide between
-    them.
+    search ends after two orders without improvement. The two best orders are averaged, or only the best one if the
+    other is far worse.
 
-    More networks of that order start with the best mixtures. After twice ``screening_iterations`` more, the best
-    ``members`` of all are trained for ``iterations`` on short and on long simulations. Wider ones, with ``hidden`` more
-    units, are added as long as they lower the criterion. The output is the mean of the best, with weights that fall
-    with the criterion; networks that diverge under the recorded controls in another order are excluded. Each has its
-    own hidden states and gain K.
+    More networks of both orders start with the best mixtures. After twice ``screening_iterations`` more, the best of
+    all, half of the ``members`` for each order, are trained for ``iterations`` on short and on long simulations. Wider
+    ones, with ``hidden`` more units, are added as long as they lower the criterion. The output is the mean of the best
+    ``members``, with weights that fall slowly with the criterion. Networks that diverge under the recorded controls in
+    another order are excluded, and with them an order of which at least half of the networks diverge. Each has its own
+    hidden states and gain K.
 
     If a linear space has a lower criterion than all networks, it is the model. With fewer than 600 samples
     `linear_state_space` is the model unless networks simulate held-out blocks of time at least a tenth better;
@@ -311,6 +297,40 @@ def criterion(errors: Array, spaces: StateSpaceBatch, problem: EstimationProblem
     count = sum(part.outputs.size for part in problem.parts)
     known = np.where(np.isfinite(errors), np.maximum(errors, 1e-12), 1e6)
     return np.asarray(np.log(known) + (~spaces.blind).sum(axis=1) * np.log(count) / count)
+
+
+def members_of(
+    trained: list[Trained], problem: EstimationProblem
+) -> tuple[list[StateSpaceBatch], list[StateObserver], Array]:
+    """Return each space of these trainings as a batch of one, its observer, and the criteria (S,)."""
+    assessed = [problem.assessed(own) for own in trained]
+    spaces = [own.spaces[[s]] for own in trained for s in range(len(own.spaces))]
+    observers = [one for found, _ in assessed for one in found]
+    scores = [criterion(errors, own.spaces, problem) for own, (_, errors) in zip(trained, assessed, strict=True)]
+    return spaces, observers, np.concatenate(scores)
+
+
+def with_whole_orders(diverged: BoolArray, orders: IntArray) -> BoolArray:
+    """Return ``diverged`` (S,) with all members of an order of which at least half diverge, if any members remain.
+
+    The recording does not determine the states of such an order, and members that have not diverged yet may do so under
+    other controls. ``orders`` (S,) are the numbers of states of the members.
+    """
+    shares = np.array([diverged[orders == order].mean() for order in orders])
+    whole = diverged | (shares >= UNDETERMINED)
+    return diverged if whole.all() else whole
+
+
+def mean_weights(found: Array, diverged: BoolArray, most: int) -> Array:
+    """Return the weights (S,) of members in the mean, with sum 1, from their criteria ``found`` (S,).
+
+    At most ``most`` members have a weight above 0. Members that have ``diverged`` (S,) have none, unless all have.
+    """
+    eligible = np.where(diverged & ~diverged.all(), np.inf, found)
+    weights = np.exp(-SHARPNESS * (eligible - eligible.min()))
+    weights[np.argsort(eligible, kind="stable")[most:]] = 0.0
+    weights[weights <= NEGLIGIBLE] = 0.0
+    return np.asarray(weights / weights.sum())
 
 
 SPREAD = 0.7

@@ -87,6 +87,7 @@ SYSTEMS: dict[str, HiddenSystem] = {}
 
 
 def hidden_system(
+    systems: dict[str, HiddenSystem],
     parameters: list[float],
     excite: Callable[[np.random.Generator, int], Array],
     *,
@@ -94,18 +95,18 @@ def hidden_system(
     dt: float,
     noise: float = 0.02,
 ) -> Callable[[Callable[[Array, Array], Array]], Callable[[Array, Array], Array]]:
-    """Compile a simulation and enter it in `SYSTEMS` under its name."""
+    """Compile a simulation and enter it in ``systems`` under its name."""
 
     def enter(simulate: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
         name = simulate.__name__
-        SYSTEMS[name] = HiddenSystem(name, njit(simulate), np.array(parameters), excite, steps, dt, noise)
-        return SYSTEMS[name].simulate
+        systems[name] = HiddenSystem(name, njit(simulate), np.array(parameters), excite, steps, dt, noise)
+        return systems[name].simulate
 
     return enter
 
 
 @hidden_system(
-    [0.7, 0.35, 0.75, 2.0, 0.3, 0.2, 0.5, 0.88], partial(smooth_noise, pole=0.7, size=0.5), steps=3000, dt=0.05
+    SYSTEMS, [0.7, 0.35, 0.75, 2.0, 0.3, 0.2, 0.5, 0.88], partial(smooth_noise, pole=0.7, size=0.5), steps=3000, dt=0.05
 )
 def wiener_hammerstein(p, u):
     """Two low passes in a row, a curve that saturates on one side, an oscillator.
@@ -129,7 +130,11 @@ def wiener_hammerstein(p, u):
 
 
 @hidden_system(
-    [0.02, 0.03, 0.03, 0.02, 4.0, 0.04, 0.08, 1.0, 0.05], partial(steps_and_noise, longest=25), steps=2500, dt=0.02
+    SYSTEMS,
+    [0.02, 0.03, 0.03, 0.02, 4.0, 0.04, 0.08, 1.0, 0.05],
+    partial(steps_and_noise, longest=25),
+    steps=2500,
+    dt=0.02,
 )
 def two_masses(p, u):
     """A motor, a shaft with backlash, and a load; the speed of the motor is measured.
@@ -152,7 +157,9 @@ def two_masses(p, u):
     return y
 
 
-@hidden_system([0.15, 1.5, 8.0, 0.6, 3.0, 1.5, 1.0, 1.0], partial(steps_and_noise, longest=30), steps=1000, dt=0.05)
+@hidden_system(
+    SYSTEMS, [0.15, 1.5, 8.0, 0.6, 3.0, 1.5, 1.0, 1.0], partial(steps_and_noise, longest=30), steps=1000, dt=0.05
+)
 def hydraulic(p, u):
     """A valve with a dead band, oil that is compressed, a piston against a spring; its position is measured.
 
@@ -172,7 +179,7 @@ def hydraulic(p, u):
     return y
 
 
-@hidden_system([60.0, 3.0, 120.0, 40.0], partial(smooth_noise, pole=0.5, size=0.5), steps=2000, dt=0.05)
+@hidden_system(SYSTEMS, [60.0, 3.0, 120.0, 40.0], partial(smooth_noise, pole=0.5, size=0.5), steps=2000, dt=0.05)
 def cubic_spring(p, u):
     """A mass on a spring that hardens with the cube (as in the Silverbox); its position is measured.
 
@@ -189,7 +196,9 @@ def cubic_spring(p, u):
     return y
 
 
-@hidden_system([2.0, 10.0, 8.0, 40.0, 12.0, 8.0, 12.0], partial(smooth_noise, pole=0.8, size=0.5), steps=2500, dt=0.05)
+@hidden_system(
+    SYSTEMS, [2.0, 10.0, 8.0, 40.0, 12.0, 8.0, 12.0], partial(smooth_noise, pole=0.8, size=0.5), steps=2500, dt=0.05
+)
 def hysteresis(p, u):
     """A mass on a spring with a hysteretic force (Bouc and Wen); its position is measured.
 
@@ -207,7 +216,7 @@ def hysteresis(p, u):
     return y
 
 
-@hidden_system([0.8, 0.35, 0.85, 0.45], partial(smooth_noise, pole=0.8, size=0.5), steps=2000, dt=0.05)
+@hidden_system(SYSTEMS, [0.8, 0.35, 0.85, 0.45], partial(smooth_noise, pole=0.8, size=0.5), steps=2000, dt=0.05)
 def saturated_sensor(p, u):
     """A low pass and an oscillator behind it, seen by a sensor that is at its end on one side.
 
@@ -224,7 +233,7 @@ def saturated_sensor(p, u):
     return y
 
 
-@hidden_system([1.4, 0.6, 0.5, 1.0, 0.3], partial(steps_and_noise, longest=20), steps=1000, dt=0.5)
+@hidden_system(SYSTEMS, [1.4, 0.6, 0.5, 1.0, 0.3], partial(steps_and_noise, longest=20), steps=1000, dt=0.5)
 def tanks(p, u):
     """Two tanks one above the other, the upper one flows over; the lower level is measured.
 
@@ -246,7 +255,7 @@ def tanks(p, u):
     return y
 
 
-@hidden_system([0.15, 2.5, 6.0, 1.5, 0.5], partial(steps_and_noise, longest=20), steps=1500, dt=0.05)
+@hidden_system(SYSTEMS, [0.15, 2.5, 6.0, 1.5, 0.5], partial(steps_and_noise, longest=20), steps=1500, dt=0.05)
 def rate_limit(p, u):
     """An actuator with a lag and a limited rate drives a wheel against drag; the wheel's speed is measured.
 
@@ -263,7 +272,7 @@ def rate_limit(p, u):
     return y
 
 
-@hidden_system([3.0, 1.2, 0.12, 0.08, 0.3], partial(steps_and_noise, longest=30), steps=1500, dt=0.2)
+@hidden_system(SYSTEMS, [3.0, 1.2, 0.12, 0.08, 0.3], partial(steps_and_noise, longest=30), steps=1500, dt=0.2)
 def heater(p, u):
     """A heating element in a wall, loss by radiation and to the room; the element's temperature is measured.
 
@@ -283,7 +292,12 @@ def heater(p, u):
 
 
 @hidden_system(
-    [0.4, 0.8, 4.5, 0.8, 0.6, 0.9, 0.85, 0.2, 1.5], partial(multisine, highest=0.2), steps=4000, dt=0.001, noise=0.01
+    SYSTEMS,
+    [0.4, 0.8, 4.5, 0.8, 0.6, 0.9, 0.85, 0.2, 1.5],
+    partial(multisine, highest=0.2),
+    steps=4000,
+    dt=0.001,
+    noise=0.01,
 )
 def parallel_branches(p, u):
     """Two branches side by side: an oscillator, a curve and a low pass; a low pass, a dead band and an oscillator.
@@ -306,6 +320,7 @@ def parallel_branches(p, u):
 
 
 @hidden_system(
+    SYSTEMS,
     [2.0, 0.04, 0.03, 60.0, 4.0, 150.0, 100.0, 5.0, 30.0],
     partial(held_steps, shortest=10, longest=50),
     steps=2500,
@@ -334,7 +349,12 @@ def stage(p, u):
 
 
 @hidden_system(
-    [1.2, 4.0, 0.02, 0.8, 0.1, 0.3], partial(held_steps, shortest=5, longest=30), steps=2000, dt=0.02, noise=0.01
+    SYSTEMS,
+    [1.2, 4.0, 0.02, 0.8, 0.1, 0.3],
+    partial(held_steps, shortest=5, longest=30),
+    steps=2000,
+    dt=0.02,
+    noise=0.01,
 )
 def pneumatic(p, u):
     """A valve with a dead band between 6 bar and the air, a vessel, a tube and a second vessel; its pressure in Pa.
@@ -358,7 +378,7 @@ def pneumatic(p, u):
     return y
 
 
-@hidden_system([0.1, 7.0, 20.0, 1.5, 1.5], partial(held_steps, shortest=5, longest=30), steps=2000, dt=0.2)
+@hidden_system(SYSTEMS, [0.1, 7.0, 20.0, 1.5, 1.5], partial(held_steps, shortest=5, longest=30), steps=2000, dt=0.2)
 def stirred_tank(p, u):
     """A reaction that gives off heat in a cooled, stirred tank (dimensionless); the temperature is measured.
 
@@ -378,7 +398,7 @@ def stirred_tank(p, u):
 
 
 @hidden_system(
-    [0.02, 0.05, 1.5, 0.05, 0.02, 0.5, 0.3], partial(held_steps, shortest=5, longest=30), steps=2000, dt=0.05
+    SYSTEMS, [0.02, 0.05, 1.5, 0.05, 0.02, 0.5, 0.3], partial(held_steps, shortest=5, longest=30), steps=2000, dt=0.05
 )
 def flexible_arm(p, u):
     """A motor that lifts a heavy arm through an elastic joint; the angle of the motor is measured.
@@ -399,7 +419,9 @@ def flexible_arm(p, u):
     return y
 
 
-@hidden_system([600.0, 0.15, 60.0, 3.0, 9.0, 0.06], partial(smooth_noise, pole=0.7, size=0.6), steps=2500, dt=0.02)
+@hidden_system(
+    SYSTEMS, [600.0, 0.15, 60.0, 3.0, 9.0, 0.06], partial(smooth_noise, pole=0.7, size=0.6), steps=2500, dt=0.02
+)
 def quarter_car(p, u):
     """A wheel that follows a road and can leave it, a body on a spring and a damper of two slopes; the body's height.
 
@@ -421,7 +443,7 @@ def quarter_car(p, u):
     return y
 
 
-@hidden_system([0.5, 0.4, 0.4, 0.3, 0.02], partial(held_steps, shortest=10, longest=40), steps=2000, dt=0.5)
+@hidden_system(SYSTEMS, [0.5, 0.4, 0.4, 0.3, 0.02], partial(held_steps, shortest=10, longest=40), steps=2000, dt=0.5)
 def three_tanks(p, u):
     """Three tanks in a row, joined below, with water running both ways; the level of the last one is measured.
 
@@ -441,7 +463,9 @@ def three_tanks(p, u):
     return y
 
 
-@hidden_system([0.2, 30.0, 3.0, 8.0, 14.0, 0.12], partial(smooth_noise, pole=0.8, size=0.6), steps=2000, dt=0.05)
+@hidden_system(
+    SYSTEMS, [0.2, 30.0, 3.0, 8.0, 14.0, 0.12], partial(smooth_noise, pole=0.8, size=0.6), steps=2000, dt=0.05
+)
 def dead_sensor(p, u):
     """An oscillator with a spring that softens, behind a lag, seen by a sensor that does not notice small movements.
 
@@ -460,7 +484,7 @@ def dead_sensor(p, u):
 
 
 @hidden_system(
-    [60.0, 60.0, 400.0, 1.0, 3000.0, 30.0], partial(held_steps, shortest=4, longest=25), steps=2500, dt=0.005
+    SYSTEMS, [60.0, 60.0, 400.0, 1.0, 3000.0, 30.0], partial(held_steps, shortest=4, longest=25), steps=2500, dt=0.005
 )
 def magnet(p, u):
     """A coil that pulls an armature against a spring, the nearer the stronger; the position is measured.
@@ -479,7 +503,9 @@ def magnet(p, u):
     return y
 
 
-@hidden_system([0.5, 0.8, 6.0, 0.5, 10.0, 0.2, 0.12], partial(held_steps, shortest=8, longest=40), steps=1500, dt=0.25)
+@hidden_system(
+    SYSTEMS, [0.5, 0.8, 6.0, 0.5, 10.0, 0.2, 0.12], partial(held_steps, shortest=8, longest=40), steps=1500, dt=0.25
+)
 def bioreactor(p, u):
     """Cells that eat a substrate, of which too much harms them, and are diluted; the mass of cells is measured.
 

@@ -8,7 +8,7 @@ import pytest
 from model_zoo.backprop27 import Backprop27
 from model_zoo.car.hybrid_ode import CarRateGradient, HybridOde
 from model_zoo.networks.backpropagation import DifferentiableSimulation
-from model_zoo.networks.mlp_ensemble import DifferenceNetworks, MlpEnsemble
+from model_zoo.networks.mlp_ensemble import DifferenceNetworks, MlpEnsemble, held_together
 from model_zoo.networks.network import Layers, random_network
 from model_zoo.networks.neural_ode import OdeSimulation
 from model_zoo.networks.training import (
@@ -31,6 +31,8 @@ from sysid_evo.models.dynamics import rk4
 from sysid_evo.progress import Counter
 from sysid_evo.testing import example_dataset
 from sysid_evo.types import Array
+from sysid_evo.validation.folds import time_fold
+from sysid_evo.validation.simulation_error import error_windows
 from tests.fixtures.systems import FloorCar, drive, swung
 
 HARDLY = {"hidden": [6], "one_step_updates": 10, "updates": 2, "horizon": 5, "input_noise": 0.07}
@@ -152,6 +154,32 @@ def test_an_ensemble_says_that_it_was_trained_on_shorter_simulations(tmp_path):
     assert load_model(save_model(model, tmp_path / "short")).fit_note == model.fit_note
     usual = make_model("mlp_ensemble", **small).fit(example_dataset(), rng=0)
     assert "in place of" not in usual.fit_note
+
+
+@pytest.mark.parametrize("stochastic", [False, True])
+def test_a_member_that_diverges_on_its_held_out_blocks_is_left_out_of_the_mean(stochastic, monkeypatch):
+    """Its calibration uses the blocks of the remaining members; which member diverges is decided here."""
+    small = {**FAMILIES["mlp_ensemble"], "members": 3, "stochastic": stochastic}
+    whole = make_model("mlp_ensemble", **small).fit(example_dataset(), rng=0)
+    monkeypatch.setattr("model_zoo.networks.mlp_ensemble.held_together", lambda errors: np.array([0, 2]))
+    model = make_model("mlp_ensemble", **small).fit(example_dataset(), rng=0)
+    assert "1 of 3 networks are left out" in model.fit_note
+    assert "left out" not in whole.fit_note
+    for found, expected in zip(model.weights_, whole.weights_, strict=True):
+        np.testing.assert_array_equal(found, expected[[0, 2]])
+    if not stochastic:
+        data, errors = example_dataset(), []
+        for place, member in enumerate((0, 2)):
+            windows = error_windows(time_fold(data, member, model.folds)[1], model.n_lags, stride=10)
+            simulated = model._of_member(place).simulate(windows.past_states, windows.past_controls, windows.controls)
+            errors.append((windows.states - simulated)[:, 0])
+        np.testing.assert_allclose(model.residual_, np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0)))
+
+
+def test_members_diverge_whose_error_is_three_times_the_median():
+    assert held_together(np.array([1.0, 1.2, 3.5, np.inf, 0.1])).tolist() == [0, 1, 2, 4]
+    assert held_together(np.array([1.0, 1.2, 3.7])).tolist() == [0, 1]
+    assert held_together(np.full(3, np.inf)).tolist() == [0, 1, 2]
 
 
 @pytest.mark.parametrize("family", ["mlp_ensemble", "neural_ode", "hybrid_ode"])

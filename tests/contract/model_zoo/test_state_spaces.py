@@ -1,14 +1,15 @@
 """Families with hidden states: their derivatives, training and stability, and an observer in the carry."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from model_zoo.state_space import estimation
-from model_zoo.state_space.estimation import EstimationProblem, observer, radius, stabilised
-from model_zoo.state_space.nonlinear_state_space import networks
-from model_zoo.state_space.recordings import ScaledEpisode, ShootingWindows
+from model_zoo.state_space.estimation import EstimationProblem, StateObserver, observer, radius, stabilised
+from model_zoo.state_space.nonlinear_state_space import mean_weights, networks, with_whole_orders
+from model_zoo.state_space.recordings import ScaledEpisode, Scales, ShootingWindows
 from model_zoo.state_space.shooting import DIVERGED_DISTANCE, StateSpaceBatch, train
 from model_zoo.state_space.subspace import flowing
 from model_zoo.state_space.units import GATE, SHARP, SHARP_INPUT, UNITS
@@ -24,6 +25,11 @@ def spaces(*, flow=False):
 
 
 FORMS = pytest.mark.parametrize("flow", [False, True], ids=["step by step", "differential equation"])
+
+
+def each(spaces):
+    """Return the spaces of a batch one by one."""
+    return [spaces[[s]] for s in range(len(spaces))]
 
 
 def linear_growth(rate):
@@ -159,7 +165,7 @@ def test_spaces_that_diverge_under_other_controls_are_detected():
     growing = trained.spaces.outer.copy()
     growing[0, 0, 0] += 0.5 / trained.spaces.rate_scale[0]
     both = StateSpaceBatch.linear(np.concatenate([trained.spaces.outer, growing]), trained.spaces.rate_scale)
-    assert problem.escapes(both, problem.observers(trained) * 2).tolist() == [False, True]
+    assert problem.escapes(each(both), problem.observers(trained) * 2).tolist() == [False, True]
 
 
 def quiet_recording():
@@ -191,10 +197,10 @@ def test_a_space_that_diverges_only_outside_the_recorded_range_is_detected(data,
     told = getattr(estimation, name)
     for other, none in (("HOLD_FACTOR", 1), ("AMPLITUDE_FACTOR", 1), ("SHUFFLES", 0)):
         monkeypatch.setattr(estimation, other, none)
-    assert not problem.escapes(three, observers).any()
+    assert not problem.escapes(each(three), observers).any()
     monkeypatch.setattr(estimation, name, told)
-    assert problem.escapes(three, observers).tolist() == [False, False, True]
-    assert not problem.escapes(three[[0, 2]], observers[:2]).any()
+    assert problem.escapes(each(three), observers).tolist() == [False, False, True]
+    assert not problem.escapes(each(three[[0, 2]]), observers[:2]).any()
 
 
 def test_a_space_far_from_all_others_counts_as_diverged():
@@ -203,7 +209,7 @@ def test_a_space_far_from_all_others_counts_as_diverged():
     outer = trained.spaces.outer.repeat(3, axis=0)
     outer[2, :, 2] *= 1.3
     three = StateSpaceBatch.linear(outer, trained.spaces.rate_scale)
-    assert problem.escapes(three, problem.observers(trained) * 3).tolist() == [False, False, True]
+    assert problem.escapes(each(three), problem.observers(trained) * 3).tolist() == [False, False, True]
 
 
 def test_a_space_that_diverges_is_trained_without_a_warning():
@@ -265,6 +271,62 @@ def test_rest_is_left_by_a_control_and_kept_without(linear):
     rest = held.start(np.zeros((1, held.n_lags + 1, 1)), np.zeros((1, held.n_lags, 1)))
     for control, moves in ((0.0, False), (1.0, True)):
         assert np.array_equal(held.step(rest, np.array([[control]])), rest) != moves
+
+
+def test_each_member_of_a_mean_starts_as_it_would_alone():
+    """If all were corrected by the error of their mean, members with opposite errors would keep them."""
+    data, model = one_output(0, noise=0.02), make_model("linear_state_space", order=2).fit(one_output(0), rng=0)
+    problem = EstimationProblem.of(data, 100)
+    trained = [problem.linear_trained(order, 3, 3, lambda: None) for order in (2, 3)]
+    spaces, observers = [one.spaces for one in trained], [problem.observers(one)[0] for one in trained]
+    observers = [replace(one, history=20) for one in observers]
+    run, hidden = data.episodes[0], []
+    for members, weights in (([0], [1.0]), ([1], [1.0]), ([0, 1], [0.3, 0.7])):
+        model.set_learned(
+            problem.scales, [spaces[i] for i in members], [observers[i] for i in members], np.array(weights)
+        )
+        hidden.append(model.start(run.states[None, 30:51], run.controls[None, 30:50])[0, 1:])
+    np.testing.assert_allclose(hidden[2], np.concatenate(hidden[:2]), rtol=1e-10)
+
+
+def test_members_of_similar_error_share_the_mean_and_those_that_diverge_are_left_out():
+    """A tenth less error in one of them does not make it the only one."""
+    found, none = np.log(np.array([1.0, 1.1, 1.2, 3.0]) ** 2), np.zeros(4, dtype=bool)
+    weights = mean_weights(found, none, 4)
+    assert weights[0] < 0.7
+    assert weights[1] > 0.25
+    assert weights[3] == 0.0
+    assert weights.sum() == pytest.approx(1.0)
+    assert mean_weights(found, none, 2)[2] == 0.0
+    assert mean_weights(found, np.array([True, False, False, False]), 4)[0] == 0.0
+    assert mean_weights(found, ~none, 4).tolist() == weights.tolist()
+
+
+def test_an_order_of_which_half_the_members_diverge_is_left_out():
+    orders = np.array([2, 2, 3, 3])
+    assert with_whole_orders(np.array([False, False, True, False]), orders).tolist() == [False, False, True, True]
+    assert with_whole_orders(np.array([True, False, False, False, False]), np.array([2, 2, 2, 3, 3])).sum() == 1
+    assert with_whole_orders(np.array([True, False, True, False]), orders).tolist() == [True, False, True, False]
+
+
+def test_a_space_that_diverges_only_after_thousands_of_steps_is_detected():
+    """The simulations are as long as the longest episode."""
+    late = StateSpaceBatch.linear(np.array([[[0.0015, 0.001, 0.0]]]), np.ones(1))
+    observers = [StateObserver(np.zeros((1, 1)), np.zeros((1, 2)), 4)]
+    outputs = np.sin(0.1 * np.arange(8001.0))[:, None]
+    for steps, diverges in ((3000, False), (8000, True)):
+        part = ScaledEpisode(outputs[: steps + 1], np.full((steps, 1), 0.02))
+        problem = EstimationProblem(Scales.of(one_output(0)), [part], 1000)
+        assert problem.escapes([late], observers).tolist() == [diverges]
+
+
+def test_orders_of_similar_error_are_averaged():
+    data = one_output(0, 600, bend=0.03, noise=0.01)
+    few = {**FEW, "members": 4, "order": None, "screening_iterations": 4, "iterations": 6}
+    model = make_model("nonlinear_state_space", gated=False, **few).fit(data, rng=0)
+    orders = [len(outer) for outer in model.outer_]
+    assert len(orders) <= 4
+    assert len(set(orders)) == 2
 
 
 FEW = {"order": 2, "members": 2, "mixtures": 3, "screening_iterations": 3, "iterations": 2, "horizon": 100}
