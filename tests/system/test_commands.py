@@ -175,6 +175,7 @@ def floors(tmp_path_factory):
 
 def test_adapt_prints_the_acceptance_test_and_stores_a_better_model(floors, call, monkeypatch):
     monkeypatch.setattr("model_zoo.polynomial.narx.Narx.fine_tuned", lambda self, data, updates, *, rng: self)
+    monkeypatch.setattr("sysid_evo.models.adaptation.selection.KINDS", ("action", "linear", "products"))
     monkeypatch.setattr("sysid_evo.models.adaptation.selection.RIDGES", (0.3, 0.03))
     command = ("adapt", floors / "base", "--data", floors / "other", "--out", "there")
     done = call.works(*command)
