@@ -21,9 +21,8 @@ from sysid_evo.models.parameters import Limit, above, at_least
 from sysid_evo.progress import Progress
 from sysid_evo.types import Array
 from sysid_evo.validation.folds import make_folds
-from sysid_evo.validation.simulation_error import HeldOutTest, Scorer, history_of, horizons_of
+from sysid_evo.validation.simulation_error import Scorer, held_out_tests, horizons_of, selection_horizons
 
-HORIZONS = [10, 20, 60]
 PROCESSORS = 2
 """Number of processors for which a budget is given in seconds."""
 SHARE = 0.85
@@ -36,13 +35,17 @@ class Auto(MeanModel):
 
     Each candidate (a family with lags and parameters) is fitted ``folds`` times without one group of recordings (blocks
     of time if there is only one recording) and simulated on that group. Its error is RMSE / standard deviation after
-    ``horizons`` steps (10, 20, 60), averaged over states and horizons. A candidate that is far worse in the first fold
-    (1.25 times the cutoff, and significantly) skips the others. Candidates that fail, diverge, do not pass the
-    `SanityCheck` or exceed ``cutoff`` times the lowest error are dropped; the cutoff is reduced if the mean of fewer
-    candidates has a lower held-out error, but candidates that are not significantly worse than the best stay (paired
-    bootstrap). A good state space is then replaced by its fully trained version and a good Gaussian process by the
-    average of three, if that is better. The candidates that are kept are refitted to all data; fully trained state
-    spaces are averaged with those fitted without each fold, except much worse ones.
+    ``horizons`` steps, averaged over states and horizons; by default these follow the slowest response and the length
+    of the recordings (`selection_horizons`). A candidate that is far worse in the first fold (1.25 times the cutoff,
+    and significantly) skips the others. Candidates that fail, diverge or do not pass the `SanityCheck` are dropped.
+
+    Others are kept within ``cutoff`` times the lowest error; the cutoff is reduced if the mean of fewer candidates
+    has a lower held-out error, but candidates that are not significantly worse than the best stay (paired
+    bootstrap). The best candidate of each model class always stays within ``class_cutoff`` times the lowest error,
+    since models of another structure fail under other conditions. A good state space is then replaced by its fully
+    trained version and a good Gaussian process by the average of three, if that is better. The candidates that are
+    kept are refitted to all data; fully trained state spaces are averaged with those fitted without each fold,
+    except much worse ones.
 
     The weight of a model class (networks with lags, networks without, polynomials, neighbours, physics, state spaces)
     is the square root of the number of its members, which share it equally. Every member starts each step from the mean
@@ -66,13 +69,15 @@ class Auto(MeanModel):
     limits: ClassVar[dict[str, Limit]] = {
         "budget": above(0),
         "cutoff": at_least(1),
+        "class_cutoff": at_least(1),
         "horizons": at_least(1),
         "folds": at_least(1),
     }
 
-    budget: float = 300.0
+    budget: float = 120.0
     candidates: list[Any] | None = None
     cutoff: float = 1.25
+    class_cutoff: float = 1.4
     horizons: list[int] | None = None
     folds: int = 3
     stochastic: bool = False
@@ -84,14 +89,15 @@ class Auto(MeanModel):
         tried, left_out = self._tried(dataset)
         if not tried:
             raise IncompatibleSystem(f"auto: expected a candidate for this system, got none: {'; '.join(left_out)}")
-        horizons = horizons_of(pairs, self.horizons or HORIZONS)
-        history = history_of(pairs, horizons)
-        scorer = Scorer.of(dataset, [HeldOutTest.of(held, horizons, history) for _, held in pairs])
+        horizons = horizons_of(pairs, self.horizons) if self.horizons else selection_horizons(dataset, pairs)
+        scorer = Scorer.of(dataset, held_out_tests(pairs, horizons))
         seeds = rng.integers(2**32, size=(len(tried), len(pairs) + 1))
         budget = PROCESSORS * SHARE * self.budget if self.candidates is None else math.inf
         costs = sum(one.cost(dataset.system, dataset.n_steps, len(pairs)) for one in tried)
         work = FitWork(progress, min(budget, costs))
-        choice = CandidateSelection(dataset, pairs, scorer, tried, seeds, budget, work).choice(self.cutoff, self._mean)
+        choice = CandidateSelection(dataset, pairs, scorer, tried, seeds, budget, work).choice(
+            self.cutoff, self.class_cutoff, self._mean
+        )
         shares = weights_of([structure_of(own[0]) for own in choice.models])
         each = [np.full(len(own), share / len(own)) for own, share in zip(choice.models, shares, strict=True)]
         self.become([model for own in choice.models for model in own], np.concatenate(each))
@@ -138,7 +144,7 @@ class Auto(MeanModel):
     @property
     def fit_note(self) -> str:
         found = CandidateRanking.stored_in(self)
-        return "; ".join(filter(None, (super().fit_note, "" if found is None else found.sentence())))
+        return "; ".join(filter(None, (super().fit_note, "" if found is None else found.sentence(self.class_cutoff))))
 
 
 @dataclass(frozen=True)
@@ -220,8 +226,11 @@ class CandidateRanking:
             rows.append({"candidate": name, "error": "", after: "", "weight": "", "remark": reason})
         return rows
 
-    def sentence(self) -> str:
-        """Return members and weights, the cutoff, and whether the best is significantly better than the second best."""
+    def sentence(self, class_cutoff: float) -> str:
+        """Return members and weights, the cutoffs, and whether the best is significantly better than the second best.
+
+        The best of each class was kept within ``class_cutoff``.
+        """
         kept = [
             f"{name} ({at.mean():.3f}, weight {weight:.2f})"
             for name, at, weight in zip(self.candidates, self.errors, self.shares, strict=True)
@@ -230,8 +239,8 @@ class CandidateRanking:
         text = (
             f"mean of {len(kept)} of {len(self.candidates)} candidates: {', '.join(kept)}; error of simulations "
             f"over {', '.join(map(str, self.horizons))} steps on {self.evaluated_on}; cutoff "
-            f"{self.cutoff:.2f} x the lowest error; error of the mean by cutoff: "
-            + ", ".join(f"{cutoff:.2f} x {error:.3f}" for cutoff, error in self.means)
+            f"{self.cutoff:.2f} x the lowest error, for the best of each class {class_cutoff:.2f} x; error of "
+            "the mean by cutoff: " + ", ".join(f"{cutoff:.2f} x {error:.3f}" for cutoff, error in self.means)
         )
         if self.ahead:
             low, high = self.ahead

@@ -67,10 +67,15 @@ class CandidateSelection:
     budget: float
     work: FitWork
 
-    def choice(self, cutoff: float, mean: Callable[[list[DynamicsModel]], DynamicsModel]) -> CandidateChoice:
-        """Return the candidates within the ``cutoff`` (`InvalidData` if none); ``mean`` averages models."""
+    def choice(
+        self, cutoff: float, class_cutoff: float, mean: Callable[[list[DynamicsModel]], DynamicsModel]
+    ) -> CandidateChoice:
+        """Return the candidates within the ``cutoff`` and the best of each class within the ``class_cutoff``.
+
+        ``mean`` averages models. Raises `InvalidData` if none is left.
+        """
         folds = range(len(self.pairs))
-        outcomes, errors, reasons = self._first_fold(DROP_FACTOR * cutoff)
+        outcomes, errors, reasons = self._first_fold(DROP_FACTOR * cutoff, DROP_FACTOR * class_cutoff)
         remaining = [number for number, reason in enumerate(reasons) if not reason]
         outcomes |= self._fits(remaining, folds[1:])
         rough = {number: [outcomes[number, fold] for fold in folds] for number in remaining}
@@ -100,7 +105,9 @@ class CandidateSelection:
         numbers = list(usable)
         best = min(usable.values(), key=lambda error: error.mean)
         ties = [i for i, number in enumerate(numbers) if not usable[number].above(best).low > 0.0]
-        group, passed = chosen([usable[number].mean for number in numbers], cutoff, mean_error, ties)
+        means = [usable[number].mean for number in numbers]
+        leaders = class_leaders(means, [structure_of(models(number)[0]) for number in numbers], class_cutoff)
+        group, passed = chosen(means, cutoff, mean_error, ties, leaders)
         final = self.work.outcomes([self._task(numbers[i], len(self.pairs)) for i in group])
         kept: dict[int, list[DynamicsModel]] = {}
         for (number, _), outcome in sorted(final.items()):
@@ -136,7 +143,9 @@ class CandidateSelection:
         errors = [self.scorer.errors([trial.run(one) for trial in self.scorer.trials]).mean for one in models]
         return [models[0], *(models[i] for i in inside(errors, cutoff) if i > 0)]
 
-    def _first_fold(self, cutoff: float) -> tuple[dict[tuple[int, int], FitOutcome], list[Errors | None], list[str]]:
+    def _first_fold(
+        self, cutoff: float, class_cutoff: float
+    ) -> tuple[dict[tuple[int, int], FitOutcome], list[Errors | None], list[str]]:
         """Try candidates in the first fold, as many as can be fitted in all folds and to all data for the budget.
 
         The time saved by candidates that are dropped (`_screened`) is spent on the next ones. A refinement waits until
@@ -152,7 +161,7 @@ class CandidateSelection:
         while batch:
             outcomes |= self._fits(batch, [0])
             tried = [number for number, _ in sorted(outcomes)]
-            found = self._screened([outcomes[number, 0] for number in tried], cutoff)
+            found = self._screened([outcomes[number, 0] for number in tried], cutoff, class_cutoff)
             for number, error, reason in zip(tried, *found, strict=True):
                 errors[number], reasons[number] = error, reason
             spent = sum(self._task(n, 0).cost if reasons[n] else costs[n] for n in tried)
@@ -175,16 +184,23 @@ class CandidateSelection:
         found = errors[self._refined[number]]
         return found is not None and found.mean <= REFINE_FACTOR * min(one.mean for one in errors if one is not None)
 
-    def _screened(self, outcomes: Sequence[FitOutcome], cutoff: float) -> tuple[list[Errors | None], list[str]]:
+    def _screened(
+        self, outcomes: Sequence[FitOutcome], cutoff: float, class_cutoff: float
+    ) -> tuple[list[Errors | None], list[str]]:
         """Return the errors in the first fold, and why a candidate is dropped; empty if it is not.
 
-        It is dropped if its error is above ``cutoff`` times the lowest and significantly so (paired bootstrap).
+        It is dropped if its error is above ``cutoff`` times the lowest and significantly so (paired bootstrap), unless
+        it is the best of its class and within ``class_cutoff``.
         """
         errors, reasons = fold_errors([[one] for one in outcomes], replace(self.scorer, trials=self.scorer.trials[:1]))
         usable = [error for error, reason in zip(errors, reasons, strict=True) if error is not None and not reason]
         best = min(usable, key=lambda error: error.mean, default=None)
+        known = [n for n, error in enumerate(errors) if error is not None and not reasons[n]]
+        structures = [structure_of(model) for n in known if (model := outcomes[n].model) is not None]
+        leaders = class_leaders([error.mean for error in usable], structures, class_cutoff) if usable else []
+        spared = {known[leader] for leader in leaders}
         for number, error in enumerate(errors):
-            if best is None or error is None or len(self.pairs) == 1:
+            if best is None or error is None or len(self.pairs) == 1 or number in spared:
                 continue
             if error.mean > cutoff * best.mean and error.above(best).low > 0.0:
                 times = f"{error.mean / best.mean:.1f} x the lowest error in the first of {len(self.pairs)} folds"
@@ -263,17 +279,30 @@ def weights_of(structures: Sequence[str]) -> Array:
     return np.asarray(found / found.sum())
 
 
+def class_leaders(errors: Sequence[float], structures: Sequence[str], cutoff: float) -> list[int]:
+    """Return the numbers of the candidates with the lowest error of their class, if that is within the ``cutoff``."""
+    best = {structures[number]: number for number in sorted(range(len(errors)), key=lambda n: -errors[n])}
+    return sorted(set(best.values()) & set(inside(errors, cutoff)))
+
+
 def chosen(
-    errors: Sequence[float], cutoff: float, mean_error: Callable[[list[int]], float], ties: Collection[int] = ()
+    errors: Sequence[float],
+    cutoff: float,
+    mean_error: Callable[[list[int]], float],
+    ties: Collection[int] = (),
+    leaders: Collection[int] = (),
 ) -> tuple[list[int], CutoffComparison]:
     """Return the numbers of the candidates that are kept, and the comparison of the cutoffs.
 
     The cutoff is the widest whose mean has an error (``mean_error``) within 1 % of the lowest. ``ties``, candidates not
-    significantly worse than the best, are kept within the widest cutoff.
+    significantly worse than the best, are kept within the widest cutoff, and ``leaders`` always (`class_leaders`).
     """
     cutoffs = [1.0 + share * (cutoff - 1.0) for share in NARROWER]
     widest = inside(errors, cutoff)
-    groups = {one: [number for number in widest if number in ties or number in inside(errors, one)] for one in cutoffs}
+    groups = {
+        one: sorted({*leaders, *(number for number in widest if number in ties or number in inside(errors, one))})
+        for one in cutoffs
+    }
     found: dict[tuple[int, ...], float] = {}
     for group in groups.values():
         if tuple(group) not in found:

@@ -105,13 +105,13 @@ class HeldOutTest:
     horizons: tuple[int, ...]
 
     @classmethod
-    def of(cls, held: Dataset, horizons: Sequence[int], history: int) -> Self:
-        """Return windows of the held-out data that start in motion; all windows if there are none."""
+    def of(cls, held: Dataset, horizons: Sequence[int], history: int, most: int = MOST_TESTED) -> Self:
+        """Return up to ``most`` windows of the held-out data that start in motion; any windows if there are none."""
         longest = max(horizons)
         places = held.find_windows(longest, stride=TEST_STRIDE, history=history, moving=True)
         if not len(places):
             places = held.find_windows(longest, stride=1)
-        return cls(places[evenly_spaced(len(places), MOST_TESTED)], tuple(horizons))
+        return cls(places[evenly_spaced(len(places), most)], tuple(horizons))
 
     @property
     def truth(self) -> Array:
@@ -224,3 +224,65 @@ def history_of(pairs: list[tuple[Dataset, Dataset]], horizons: Sequence[int]) ->
     """
     typical = float(np.median([len(episode) for _, held in pairs for episode in held]))
     return int(np.clip((typical - max(horizons)) // HISTORY_SHARE, 0, LONGEST_HISTORY))
+
+
+LEAST = (10, 20, 60)
+"""Horizons in samples where responses are fast: half a second to three at 20 Hz."""
+SHARES = (0.2, 0.5, 1.0)
+"""The same horizons where responses are slow, as shares of the slowest one."""
+BLOCK_SHARE = 3
+"""The longest horizon is at least 1 / this of the longest recording or block of time that is held out."""
+DECAYED = np.exp(-1.0)
+MOST_STEPS = 200_000
+"""Steps simulated in a fold at most; there are fewer windows if they are long, so that a test takes seconds."""
+
+
+def selection_horizons(dataset: Dataset, pairs: list[tuple[Dataset, Dataset]]) -> list[int]:
+    """Return the horizons in samples for these pairs of training and held-out data, in ascending order.
+
+    Three follow the slowest response, up to a third of the held-out block, and are at least 10, 20 and 60 samples. A
+    third of the block is added if it is longer. Horizons that do not fit into the block are left out.
+    """
+    third = min(max(len(episode) for episode in held) for _, held in pairs) // BLOCK_SHARE
+    response = min(response_steps(dataset), third)
+    wanted = {max(least, round(share * response)) for least, share in zip(LEAST, SHARES, strict=True)}
+    fitting = horizons_of(pairs, sorted(wanted))
+    return [*fitting, third] if third > fitting[-1] else fitting
+
+
+def held_out_tests(pairs: list[tuple[Dataset, Dataset]], horizons: Sequence[int]) -> list[HeldOutTest]:
+    """Return the test of each fold after these ``horizons`` in samples."""
+    history = history_of(pairs, horizons)
+    most = min(MOST_TESTED, max(1, MOST_STEPS // max(horizons)))
+    return [HeldOutTest.of(held, horizons, history, most) for _, held in pairs]
+
+
+def response_steps(dataset: Dataset) -> int:
+    """Return the slowest response of the states in samples: the first lag with an autocorrelation below 1 / e.
+
+    The length of the longest episode if the autocorrelation stays above; 1 if no state changes.
+    """
+    states = [_unwrapped(dataset, episode.states) for episode in dataset]
+    return max(_response([own[:, i] for own in states]) for i in range(dataset.system.nx))
+
+
+def _unwrapped(dataset: Dataset, states: Array) -> Array:
+    """Return ``states`` (T, nx) as complex numbers, periodic ones on the unit circle."""
+    found = states.astype(np.complex128)
+    for i, period in dataset.system.periods.items():
+        found[:, i] = np.exp(2j * np.pi * states[:, i] / period)
+    return found
+
+
+def _response(values: Sequence[Array]) -> int:
+    """Return the first lag with an autocorrelation below 1 / e over all episodes of a state (T,)."""
+    from scipy.signal import correlate  # takes long to load
+
+    mean, longest = np.concatenate(values).mean(), max(map(len, values))
+    sums, counts = np.zeros(longest), np.zeros(longest)
+    for own in values:
+        count = len(own)
+        sums[:count] += correlate(own - mean, own - mean, method="fft")[count - 1 :].real
+        counts[:count] += np.arange(count, 0, -1)
+    decayed = np.flatnonzero(sums / counts <= DECAYED * sums[0] / counts[0])
+    return int(decayed[0]) or 1 if len(decayed) else longest

@@ -19,6 +19,7 @@ from model_zoo.auto.selection import (
     CandidateSelection,
     affordable,
     chosen,
+    class_leaders,
     structure_of,
     weights_of,
 )
@@ -182,7 +183,7 @@ def test_a_candidate_worse_than_no_change_and_a_linear_model_is_dropped_unless_a
 
 def test_a_candidate_far_behind_in_the_first_fold_is_fitted_once_and_otherwise_in_every_fold():
     """With a wide cutoff the same candidate is judged in all folds."""
-    for cutoff, remark in ((1.25, "5.2 x the lowest error in the first of 3 folds"), (5.0, "above")):
+    for cutoff, remark in ((1.25, "5.7 x the lowest error in the first of 3 folds"), (5.0, "above")):
         model = make_model("auto", candidates=FEW, cutoff=cutoff)
         model.fit(DATA, rng=0)
         row = next(row for row in model.candidate_ranking() if row["candidate"] == "linear(state_lags=0)")
@@ -241,6 +242,30 @@ def test_the_cutoff_is_reduced_if_the_mean_of_more_candidates_is_worse():
 def test_candidates_not_significantly_worse_than_the_best_are_kept_within_the_widest_cutoff():
     group, _ = chosen([0.30, 0.20, 0.24, 0.9], 1.5, lambda group: 0.1 * len(group), ties=[1, 2, 3])
     assert group == [1, 2], "the last is outside the widest cutoff"
+
+
+def test_the_best_candidate_of_each_class_is_kept_within_the_class_cutoff():
+    errors, classes = [0.24, 0.20, 0.29, 0.28, 0.5], ["polynomial", "network", "physics", "polynomial", "neighbours"]
+    assert class_leaders(errors, classes, 1.4) == [0, 1]
+    assert class_leaders(errors, classes, 1.5) == [0, 1, 2]
+    group, passed = chosen(errors, 1.25, lambda group: 0.2 * len(group), leaders=[0, 1, 2])
+    assert (group, passed.cutoff) == ([0, 1, 2], 1.25)
+    assert chosen(errors, 1.25, lambda group: 0.2 * len(group))[0] == [1]
+
+
+@pytest.mark.parametrize(
+    ("class_cutoff", "weights", "remark"),
+    [(9.0, ["0.50", "0.50", ""], "neighbours"), (1.0, ["1.00", "", ""], "x the lowest error in the first of 3 folds")],
+)
+def test_the_best_of_a_class_continues_after_the_first_fold_but_others_of_its_class_do_not(
+    class_cutoff, weights, remark
+):
+    names = [FEW[0], "k_neighbours(neighbours=4)", "linear(state_lags=0)"]
+    model = make_model("auto", candidates=names, class_cutoff=class_cutoff).fit(DATA, rng=0)
+    rows = {row["candidate"]: row for row in model.candidate_ranking()}
+    assert [rows[name]["weight"] for name in names] == weights
+    assert rows[names[1]]["remark"].endswith(remark)
+    assert rows[names[2]]["remark"].endswith("x the lowest error in the first of 3 folds")
 
 
 def test_a_plugin_that_declares_a_model_class_is_a_candidate(register, data):
@@ -459,7 +484,7 @@ def test_all_that_is_shipped_is_offered_to_a_car():
     assert not left_out
 
 
-@pytest.mark.parametrize(("outputs", "budget"), [(1, 60.0), (2, 60.0), (3, 300.0)])
+@pytest.mark.parametrize(("outputs", "budget"), [(1, 60.0), (2, 60.0), (3, 120.0)])
 def test_networks_with_hidden_states_are_tried_for_few_outputs_with_any_budget(outputs, budget):
     names = [f"{kind}{i}" for kind in "yu" for i in range(outputs)]
     system = System(tuple(names[:outputs]), tuple(names[outputs:]), dt=0.1)
@@ -467,6 +492,24 @@ def test_networks_with_hidden_states_are_tried_for_few_outputs_with_any_budget(o
     costs = {number: one.cost(system, 1500, 3) for number, one in enumerate(found)}
     tried = [found[number].spec.name for number in affordable(costs, PROCESSORS * SHARE * budget)]
     assert "nonlinear_state_space" in tried
+
+
+@pytest.mark.parametrize(
+    ("states", "controls", "steps", "preset", "latent"),
+    [(1, 1, 1500, "quick", True), (3, 2, 7200, "quick", False), (3, 2, 7200, "standard", True)],
+)
+def test_every_preset_tries_a_network_without_lags_and_latent_ode_where_its_time_permits(
+    states, controls, steps, preset, latent
+):
+    """At most two minutes of two processors with `standard`."""
+    budget = make_model("auto", **Auto.presets.get(preset, {})).budget
+    assert budget <= 120.0
+    system = System(tuple(f"y{i}" for i in range(states)), tuple(f"u{i}" for i in range(controls)), dt=0.05)
+    found, _ = candidates_for(system)
+    costs = {number: one.cost(system, steps, 3) for number, one in enumerate(found)}
+    tried = {found[number].name for number in affordable(costs, PROCESSORS * SHARE * budget)}
+    assert {"neural_ode(input_noise=0.5)", "narx(lag_search=few, terms=32, degree=none)", "k_neighbours"} <= tried
+    assert any(name.startswith("latent_ode") for name in tried) == latent
 
 
 @pytest.mark.parametrize(("roughly", "seconds"), [({"members": 2}, 5.0), ({"members": 4}, 8.0), ({}, 8.0)])
@@ -502,7 +545,7 @@ def choice_among(candidates, budget=100.0):
     judge = Scorer.of(data, [HeldOutTest.of(held, [10], 3) for _, held in pairs])
     seeds = np.zeros((len(candidates), 4), dtype=np.int64)
     choosing = CandidateSelection(data, pairs, judge, candidates, seeds, budget, FitWork(None, budget))
-    return choosing.choice(1.25, Average.made_of)
+    return choosing.choice(1.25, 1.0, Average.made_of)
 
 
 @pytest.mark.parametrize(("budget", "tried"), [(2.0, "a"), (8.0, "abd"), (8.7, "abc"), (99.0, "abcd")])
