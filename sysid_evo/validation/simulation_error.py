@@ -266,7 +266,7 @@ def response_steps(dataset: Dataset) -> int:
     return max(_response([own[:, i] for own in states]) for i in range(dataset.system.nx))
 
 
-def _unwrapped(dataset: Dataset, states: Array) -> Array:
+def _unwrapped(dataset: Dataset, states: Array) -> npt.NDArray[np.complex128]:
     """Return ``states`` (T, nx) as complex numbers, periodic ones on the unit circle."""
     found = states.astype(np.complex128)
     for i, period in dataset.system.periods.items():
@@ -274,7 +274,7 @@ def _unwrapped(dataset: Dataset, states: Array) -> Array:
     return found
 
 
-def _response(values: Sequence[Array]) -> int:
+def _response(values: Sequence[npt.NDArray[np.complex128]]) -> int:
     """Return the first lag with an autocorrelation below 1 / e over all episodes of a state (T,)."""
     from scipy.signal import correlate  # takes long to load
 
