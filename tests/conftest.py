@@ -29,7 +29,11 @@ GROUPS = {
     "dask": ("system/test_dask",),
     "realtime": ("system/test_fail_safes", "system/test_serial_robot", "system/test_drive_server", "system/test_real"),
     "site": ("docs/test_site",),
-}
+    "regressors": (
+        "contract/kernels/test_equality", "contract/kernels/test_changed", "contract/kernels/test_compiled_forms",
+        "contract/model_zoo/test_regressor", "unit/evaluation/test_slow_models",
+    ),
+}  # fmt: skip
 """Modules whose paths begin so share what is costly, or each other's time: one worker runs all of them."""
 UNIT_LIMIT = 0.5
 """Seconds of processor time that a unit test may take."""

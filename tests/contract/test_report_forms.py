@@ -83,6 +83,7 @@ def compared(tmp_path_factory):
     return comparison, store
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_a_page_has_the_day_of_the_run_and_is_drawn_again_with_the_same_bytes(compared):
     comparison, store = compared
     log = store.path / "log.jsonl"

@@ -51,6 +51,7 @@ def test_the_figures_are_files_with_a_legend_and_the_markdown_shows_them(report,
     assert ">measured<" in (tmp_path / "figures" / "free-run.svg").read_text()
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_a_further_section_is_one_function_in_the_list_and_shows_in_every_form(report, monkeypatch):
     def tyres(shown):
         rows = tuple((model.name, "0.9") for model in shown.models)
