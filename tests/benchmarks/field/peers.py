@@ -165,9 +165,9 @@ class NFourSid(WithHiddenState):
 class DeepSiSubnet(WithHiddenState):
     """deepSI: SUBNET with the settings of the example of its README and its default of ten hidden states.
 
-    There are 2,000 updates of the network instead of 10,000, which take three minutes on one core. Of recordings in
-    short episodes, histories and simulations are a third of the median episode instead of 20 steps, and every fifth
-    episode is held out.
+    There are 2,000 updates of the network instead of 10,000, which take three minutes on one core. Every fifth episode
+    is held out, or the last fifth of each if they are fewer. Histories and simulations have 20 steps, or as many as
+    short episodes allow.
     """
 
     n_hidden: int = 10
@@ -180,10 +180,11 @@ class DeepSiSubnet(WithHiddenState):
         from deepSI.fitting import fit_minimal_implementation  # `fit` keeps its progress in pickled files
 
         torch.manual_seed(int(rng.integers(2**31)))
-        self.history_ = min(20, int(np.median([len(episode) for episode in dataset])) // 3)
+        usual, held = int(np.median([len(episode) for episode in dataset])), dataset.names[4::5]
+        self.history_ = min(20, usual // 3 if held else usual // 10)
         parts = [
             [deepSI.Input_output_data(u=e.controls, y=e.states[:-1]) for e in part if len(e) >= 2 * self.history_]
-            for part in dataset.split(0.2 if self.history_ == 20 else dataset.names[::5])
+            for part in dataset.split(held or 0.2)
         ]
         norm = deepSI.get_nu_ny_and_auto_norm(parts[0])[2]
         self.norm_ = [np.asarray(one, dtype=np.float64) for one in (norm.umean, norm.ustd, norm.ymean, norm.ystd)]

@@ -54,12 +54,13 @@ def test_a_model_with_a_hidden_state_is_stored_and_simulates_the_same(name, tmp_
     np.testing.assert_array_equal(load_model(tmp_path / "model").simulate(episode), model.simulate(episode))
 
 
-def test_a_network_is_fitted_to_short_episodes_with_a_short_history():
+@pytest.mark.parametrize(("episodes", "steps", "lags"), [(20, 20, 6), (1, 180, 18), (1, 500, 20)])
+def test_a_network_is_fitted_to_short_recordings_with_a_short_history(episodes, steps, lags):
     pytest.importorskip("deepSI")
     long = recording(second_order, 500).episodes[0]
-    short = Dataset(SYSTEM, tuple(long[20 * i : 20 * i + 20] for i in range(20)))
+    short = Dataset(SYSTEM, tuple(long[steps * i : steps * i + steps] for i in range(episodes)))
     model = make_model("deepsi_subnet", updates=2).fit(short, rng=0)
-    assert model.n_lags == 6
+    assert model.n_lags == lags
 
 
 @pytest.mark.nightly
