@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.interoperation import to_control
 from sysid_evo.models.base import make_model
 
@@ -30,6 +31,13 @@ def test_names_and_sampling_time_are_those_of_the_system(car_data, control):
     assert system.input_labels == ["drive", "steer"]
     assert system.output_labels == ["forward_speed", "lateral_speed", "yaw_rate"]
     assert system.state_labels[3:] == ["drive[-1]", "steer[-1]"]
+
+
+@pytest.mark.usefixtures("control")
+def test_a_model_whose_steps_have_the_control_logged_after_them_is_refused(car_data):
+    model = make_model("linear").fit(car_data.advanced(), rng=np.random.default_rng(0))
+    with pytest.raises(IncompatibleSystem, match="to_control: with advance"):
+        to_control(model)
 
 
 def test_linearising_a_linear_model_gives_its_matrices(car_data, control):
