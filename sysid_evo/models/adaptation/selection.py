@@ -39,7 +39,7 @@ KINDS = (ACTION, "linear", "gains", BOTH, "products")
 RIDGES = (3.0, 0.3, 0.03, 0.003)
 """The strongest first, which gives the smallest correction."""
 ACTION_RIDGES = RIDGES[:2]
-"""Those of the action if the acceleration is corrected as well."""
+"""Those of the action, which has few numbers."""
 
 NONE = "none"
 """The choice if the model is not changed."""
@@ -143,7 +143,7 @@ def adaptation(
     windows, seconds = AdaptationWindows.of(model, dataset), moving_seconds(dataset)
     blocks = blocks_of(windows.first, windows.horizon)
     makers = _model_makers(model, training, rng)
-    counter = Counter(progress, 1 + len(blocks) * (len(KINDS) * len(RIDGES) + len(makers)))
+    counter = Counter(progress, 1 + len(blocks) * (sum(len(_ridges(kind)) for kind in KINDS) + len(makers)))
     held = [windows[block.held(windows.first)] for block in blocks]
     nothing = _uncorrected(model, dataset)
     uncorrected = [_errors(nothing, part) for part in held]
@@ -156,11 +156,11 @@ def adaptation(
             return Adaptation(nothing, AdaptationDecision(seconds, len(blocks), error, (), NONE, ratio, least))
     trials, fold_results = list[AcceptanceResult](), dict[str, list[LearnedCorrection]]()
     for kind in KINDS if blocks else ():
-        errors: dict[str, list[HeldOutErrors]] = {_name(kind, ridge): [] for ridge in RIDGES}
+        errors: dict[str, list[HeldOutErrors]] = {_name(kind, ridge): [] for ridge in _ridges(kind)}
         for block, part in zip(blocks, held, strict=True):
             inside = windows[block.learned(windows.first)]
             share = len(inside) / len(windows)
-            found = _corrections(kind, model, block.rest(dataset), inside, RIDGES, share * seconds)
+            found = _corrections(kind, model, block.rest(dataset), inside, _ridges(kind), share * seconds)
             for name, one in zip(errors, found, strict=True):
                 learned = replace(one, held=block.part(dataset))
                 errors[name].append(_errors(learned, part))
@@ -236,9 +236,9 @@ def _corrected(
 ) -> LearnedCorrection:
     """Return the correction called ``name``, fitted to all of ``dataset``; zero if there is none of this name."""
     for kind in KINDS:
-        for number, ridge in enumerate(RIDGES):
+        for number, ridge in enumerate(_ridges(kind)):
             if name == _name(kind, ridge):
-                return list(_corrections(kind, model, dataset, windows, RIDGES[: number + 1], seconds))[-1]
+                return list(_corrections(kind, model, dataset, windows, _ridges(kind)[: number + 1], seconds))[-1]
     return _uncorrected(model, dataset)
 
 
@@ -325,6 +325,10 @@ def _errors(learned: LearnedCorrection, windows: AdaptationWindows) -> HeldOutEr
     windows = windows if learned.action is None else learned.action.applied(learned.model, windows)
     errors = windows.errors(simulate_corrections(learned.model, terms, learned.coefficients[None], windows))[0]
     return HeldOutErrors(errors, windows.first // max(windows.horizon, round(SECOND / terms.system.dt)))
+
+
+def _ridges(kind: str) -> tuple[float, ...]:
+    return ACTION_RIDGES if kind == ACTION else RIDGES
 
 
 def _name(kind: str, ridge: float) -> str:
