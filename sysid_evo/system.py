@@ -234,9 +234,9 @@ class System(Displayed):
         """Raise `IncompatibleSystem` with ``advance``: controllers do not know the command of the next sample."""
         if self.advance:
             raise IncompatibleSystem(
-                f"{use}: with advance, a step has the control that was logged after it, and a controller does not know "
-                "it in time. Models of this data are for simulation (compare --stop-after prediction). If the log only "
-                "stamps commands too late, correct the stamps there and import it without advance"
+                f"{use}: the data have advance, so each step has the control that was logged after it, not known "
+                "in time. Their models are for simulation: compare --stop-after prediction. If the log only stamps "
+                "commands too late, correct the stamps there and import it without advance"
             )
 
     def check_control(self, control: Array) -> Array:

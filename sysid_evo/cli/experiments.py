@@ -211,7 +211,7 @@ def print_fits(
     for part in [] if advice is None else evaluation.advice_lines(advice):
         out.print(part)
     labels = ",".join(str(row["model"]) for row in rows if row["file"])
-    if labels:
+    if labels and not store.load(comparison.data).training.system.advance:
         command = shlex.join(["sysid-evo", "evolve", "--run", str(store.path), "--against", labels])
         print_status(f"evolve controllers on them with: {command}")
 

@@ -16,7 +16,7 @@ from sysid_evo.cli import options
 from sysid_evo.cli.console import note, out, print_line, table_of
 from sysid_evo.cli.options import argument, load_plugins, names_of, number, option
 from sysid_evo.cli.progress import PlanProgress
-from sysid_evo.errors import IncompatibleTask, InvalidArgument
+from sysid_evo.errors import IncompatibleSystem, IncompatibleTask, InvalidArgument
 from sysid_evo.registry.registry import models
 
 
@@ -90,6 +90,7 @@ def model_card(path: Path, *, measured: bool = False) -> dict[str, Any]:
         "state_lags": state_lags, "control_lags": control_lags,
         "states": [f"{c.name} ({c.unit})" for c in model.system.states],
         "controls": [f"{c.name} ({c.unit})" if c.unit else c.name for c in model.system.controls],
+        **({"advance": "each step has the control that was logged after it"} if model.system.advance else {}),
         "dt": model.system.dt, "seed": manifest.seed, "data": manifest.data,
         **({"note": model.fit_note} if model.fit_note else {}),
         "versions": manifest.versions, "equations": model.equations(), "candidates": model.candidate_ranking(),
@@ -104,7 +105,7 @@ def speed(model: sysid_evo.DynamicsModel) -> dict[str, Any]:
     task, controller = sysid_evo.PointToPoint(horizon=SPEED_STEPS), sysid_evo.RecurrentNetwork()
     try:
         bound = task.bind(model.system)
-    except IncompatibleTask:
+    except (IncompatibleTask, IncompatibleSystem):
         return {}
     n = controller.bind_to(bound).n_parameters
     drawn = random.Random(0)

@@ -86,7 +86,7 @@ class Task(ABC):
 
         Raises `IncompatibleTask` with the role that it lacks, `IncompatibleSystem` if it has `System.advance`.
         """
-        system.check_causal("a task for controllers")
+        system.check_causal("controllers")
         self.check_system(system)
         bound = copy.copy(self)
         bound.system = system

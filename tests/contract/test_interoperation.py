@@ -36,7 +36,7 @@ def test_names_and_sampling_time_are_those_of_the_system(car_data, control):
 @pytest.mark.usefixtures("control")
 def test_a_model_whose_steps_have_the_control_logged_after_them_is_refused(car_data):
     model = make_model("linear").fit(car_data.advanced(), rng=np.random.default_rng(0))
-    with pytest.raises(IncompatibleSystem, match="to_control: with advance"):
+    with pytest.raises(IncompatibleSystem, match="to_control: the data have advance"):
         to_control(model)
 
 
