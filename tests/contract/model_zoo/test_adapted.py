@@ -10,7 +10,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.models import load_model, save_model
-from sysid_evo.models.adaptation import NONE, REFIT, CorrectionTerms, LearnedCorrection, selection
+from sysid_evo.models.adaptation import NONE, REFIT, ActionCorrection, CorrectionTerms, LearnedCorrection, selection
 from sysid_evo.models.adaptation import adapted as module
 from sysid_evo.models.adaptation.adapted import calibrated_elsewhere
 from sysid_evo.models.adaptation.selection import FINE_TUNED, KINDS, NEW_FIT, Adaptation, AdaptationDecision
@@ -91,6 +91,15 @@ def test_a_model_with_a_corrected_action_steps_equally_in_both_engines(base, wea
     acted = weaker.action(control)
     expected = terms.next_carry(carry, acted, base.step(carry, acted), coefficients)
     np.testing.assert_array_equal(both.step(carry, control), expected)
+
+
+def test_an_action_correction_of_a_model_with_a_dead_band_has_no_offset(training, monkeypatch):
+    monkeypatch.setattr(selection, "KINDS", ("action",))
+    new = commanded(drive(FloorCar(), seconds=10.0, seed=3))
+    for dead_band in (False, True):
+        model = make_model("linear", dead_band=dead_band).fit(training, rng=0).adapt(new, rng=0)
+        assert model.chosen_.startswith("action, ridge")
+        assert np.any(model.offset_) != dead_band
 
 
 def test_action_and_acceleration_are_corrected_together(base):
@@ -329,6 +338,18 @@ def test_a_correction_is_part_of_the_step(steady, parts):
     coefficients[0] = pushed / (plain.terms.unit * steady.system.dt)
     shifted = calibrated_elsewhere(steady, [replace(plain, coefficients=coefficients)], np.random.default_rng(0))
     assert shifted.residual_ == pytest.approx(np.full(3, pushed), rel=0.1)
+
+
+def test_a_correction_of_the_action_is_part_of_the_step(steady, parts):
+    action = ActionCorrection(np.array([0.6, 0.7]), np.zeros(2))
+    plain = [uncorrected(steady, held) for held in parts]
+    acted = [replace(one, held=commanded(one.held), action=action) for one in plain]
+    expected, found, wrong = (
+        calibrated_elsewhere(steady, cases, np.random.default_rng(0)).residual_
+        for cases in (plain, acted, [replace(one, action=None) for one in acted])
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    assert (wrong > 1.05 * expected).any()
 
 
 @pytest.mark.parametrize(

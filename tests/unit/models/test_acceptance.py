@@ -1,10 +1,12 @@
 """The acceptance test: held-out blocks, improvement that is required, and what is required of short data."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
+from sysid_evo.data import Dataset
 from sysid_evo.errors import PluginError
 from sysid_evo.models.adaptation import NONE, adaptation, held_out_error, selection
 from sysid_evo.models.adaptation.selection import (
@@ -271,6 +273,19 @@ def test_nothing_is_tried_if_the_error_has_hardly_grown(model, monkeypatch):
         f"not adapted: the 1 s simulation error is at most {times:.2f} times the held-out training error in every "
         f"state; with {seconds:.0f} s, corrections are tried above {least:.2f}"
     )
+
+
+@pytest.mark.parametrize(("dt", "seconds"), [(0.05, 1.0), (0.2, 2.0)])
+def test_errors_are_compared_second_by_second_or_by_simulations_that_last_longer(dt, seconds, monkeypatch):
+    counted = []
+    monkeypatch.setattr(selection, "unchanged_ratio", lambda intervals: counted.append(intervals) or 10.0)
+    data = drive(FloorCar(), seconds=30.0, seed=0)
+    slow = data.system.with_dt(dt)
+    data = Dataset(slow, tuple(replace(one, dt=dt) for one in data))
+    model = make_model("linear").fit(data, rng=0)
+    model.held_out_error_ = held_out_error([(model, data)])
+    assert adaptation(model, data, rng=np.random.default_rng(0)).decision.chosen == NONE
+    assert counted[0] == pytest.approx(data.n_steps * dt / seconds, abs=4)
 
 
 def test_the_error_ratio_of_an_unchanged_condition_is_larger_for_short_recordings():
