@@ -18,7 +18,7 @@ from sysid_evo.models import DynamicsModel
 from sysid_evo.models.ensemble import MeanModel
 from sysid_evo.models.sanity import SanityCheck
 from sysid_evo.types import Array, IntArray
-from sysid_evo.validation.acceptance import inside
+from sysid_evo.validation.acceptance import MIN_ERROR, inside
 from sysid_evo.validation.simulation_error import Errors, Scorer
 
 MAX_DIVERGED = 0.05
@@ -106,7 +106,8 @@ class CandidateSelection:
         best = min(usable.values(), key=lambda error: error.mean)
         ties = [i for i, number in enumerate(numbers) if not usable[number].above(best).low > 0.0]
         means = [usable[number].mean for number in numbers]
-        leaders = class_leaders(means, [structure_of(models(number)[0]) for number in numbers], class_cutoff)
+        each = np.array([self._in_each_fold(rough[number]) for number in numbers])
+        leaders = class_leaders(means, each, [structure_of(models(number)[0]) for number in numbers], class_cutoff)
         group, passed = chosen(means, cutoff, mean_error, ties, leaders)
         final = self.work.outcomes([self._task(numbers[i], len(self.pairs)) for i in group])
         kept: dict[int, list[DynamicsModel]] = {}
@@ -120,6 +121,12 @@ class CandidateSelection:
         return CandidateChoice(
             errors, reasons, list(kept), passed, list(kept.values()), [models(number) for number in kept]
         )
+
+    def _in_each_fold(self, outcomes: Sequence[FitOutcome]) -> list[float]:
+        """Return the error in each fold."""
+        scorers = [replace(self.scorer, trials=(trial,)) for trial in self.scorer.trials]
+        runs = [outcome.simulated for outcome in outcomes if outcome.simulated is not None]
+        return [scorer.errors([states]).mean for scorer, states in zip(scorers, runs, strict=True)]
 
     def _useless(self, rough: Mapping[int, Sequence[FitOutcome]], numbers: Iterable[int]) -> dict[int, str]:
         """Return those of the candidates that fail the sanity check in the folds, each with the reason."""
@@ -197,7 +204,8 @@ class CandidateSelection:
         best = min(usable, key=lambda error: error.mean, default=None)
         known = [n for n, error in enumerate(errors) if error is not None and not reasons[n]]
         structures = [structure_of(model) for n in known if (model := outcomes[n].model) is not None]
-        leaders = class_leaders([error.mean for error in usable], structures, class_cutoff) if usable else []
+        means = [error.mean for error in usable]
+        leaders = class_leaders(means, np.array(means)[:, None], structures, class_cutoff) if usable else []
         spared = {known[leader] for leader in leaders}
         for number, error in enumerate(errors):
             if best is None or error is None or len(self.pairs) == 1 or number in spared:
@@ -279,10 +287,16 @@ def weights_of(structures: Sequence[str]) -> Array:
     return np.asarray(found / found.sum())
 
 
-def class_leaders(errors: Sequence[float], structures: Sequence[str], cutoff: float) -> list[int]:
-    """Return the numbers of the candidates with the lowest error of their class, if that is within the ``cutoff``."""
+def class_leaders(errors: Sequence[float], each: Array, structures: Sequence[str], cutoff: float) -> list[int]:
+    """Return the numbers of the candidates with the lowest error of their class, if that is within the ``cutoff``.
+
+    So must be the geometric mean over the folds of their error in ``each`` (candidates, folds) divided by that of the
+    best: where the best fails in one fold only, candidates far worse in all others are near it over all folds.
+    """
     best = {structures[number]: number for number in sorted(range(len(errors)), key=lambda n: -errors[n])}
-    return sorted(set(best.values()) & set(inside(errors, cutoff)))
+    typical = np.exp(np.log(np.maximum(each, MIN_ERROR)).mean(axis=1))
+    near = typical <= cutoff * typical[int(np.argmin(errors))]
+    return sorted(number for number in set(best.values()) & set(inside(errors, cutoff)) if near[number])
 
 
 def chosen(

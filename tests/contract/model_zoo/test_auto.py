@@ -246,11 +246,19 @@ def test_candidates_not_significantly_worse_than_the_best_are_kept_within_the_wi
 
 def test_the_best_candidate_of_each_class_is_kept_within_the_class_cutoff():
     errors, classes = [0.24, 0.20, 0.29, 0.28, 0.5], ["polynomial", "network", "physics", "polynomial", "neighbours"]
-    assert class_leaders(errors, classes, 1.4) == [0, 1]
-    assert class_leaders(errors, classes, 1.5) == [0, 1, 2]
+    each = np.array(errors)[:, None]
+    assert class_leaders(errors, each, classes, 1.4) == [0, 1]
+    assert class_leaders(errors, each, classes, 1.5) == [0, 1, 2]
     group, passed = chosen(errors, 1.25, lambda group: 0.2 * len(group), leaders=[0, 1, 2])
     assert (group, passed.cutoff) == ([0, 1, 2], 1.25)
     assert chosen(errors, 1.25, lambda group: 0.2 * len(group))[0] == [1]
+
+
+def test_the_best_of_a_class_is_left_out_if_it_is_near_the_best_only_because_that_fails_in_one_fold():
+    """The first polynomial is near in each fold, the second better in one and far worse in two."""
+    for polynomial, kept in (([0.21, 0.07, 0.06], [0, 1]), ([0.12, 0.12, 0.16], [0])):
+        each = np.array([[0.16, 0.05, 0.04], polynomial])
+        assert class_leaders([0.10, 0.135], each, ["state space", "polynomial"], 1.5) == kept
 
 
 @pytest.mark.parametrize(
