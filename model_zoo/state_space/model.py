@@ -169,9 +169,8 @@ class StateSpaceModel(DynamicsModel):
             return self._corrected(hidden, control, (measured - hidden @ self.output_.T - self.offset_) @ self.gain_.T)
         ends, ny = np.cumsum([len(outer) for outer in self.outer_]), self.system.nx
         firsts = [slice(end - len(outer), end - len(outer) + ny) for end, outer in zip(ends, self.outer_, strict=True)]
-        output = np.sum(
-            [self.output_[:, first] for first in firsts], axis=0
-        )  # a block is this times the weight of a member
+        # a member's block in output_ is the map that all have in common, times its weight; weights have sum 1
+        output = np.sum([self.output_[:, first] for first in firsts], axis=0)
         errors = [measured - hidden[:, first] @ output.T - self.offset_ for first in firsts]
         gains = np.split(self.gain_, ends[:-1])
         return self._corrected(
