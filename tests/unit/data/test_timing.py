@@ -21,12 +21,15 @@ SYSTEM = System((Channel("speed", "m/s"),), (Channel("push", low=-1.0, high=1.0)
 LATER = System(SYSTEM.states, SYSTEM.controls, SYSTEM.dt, name="slider", advance=True)
 
 
-def slider(steps=1500, *, shift=0, seed=0):
-    """Return rows of a nonlinear drag: states and controls (steps + 1, 1), the control logged ``shift`` rows late."""
+def slider(steps=1500, *, shift=0, later=0.0, seed=0):
+    """Return rows of a nonlinear drag: states and controls (steps + 1, 1), the control logged ``shift`` rows late.
+
+    A step has the share ``later`` of the control of the next row.
+    """
     rng = np.random.default_rng(seed)
     push, speed = rng.uniform(-1.0, 1.0, steps + 1), np.zeros(steps + 1)
     for k in range(steps):
-        speed[k + 1] = 0.8 * speed[k] - 0.1 * speed[k] ** 3 + 0.5 * push[k]
+        speed[k + 1] = 0.8 * speed[k] - 0.1 * speed[k] ** 3 + 0.5 * ((1.0 - later) * push[k] + later * push[k + 1])
     return (speed + 0.01 * rng.normal(size=steps + 1))[:, None], np.roll(push, shift)[:, None]
 
 
@@ -111,6 +114,7 @@ def test_both_timings_are_found_and_reported():
     assert timing.simultaneous
     assert timing.ratio > 3.0
     assert control_timing(late.advanced()) is None
+    assert control_timing(Dataset.from_arrays(SYSTEM, *slider(800, later=0.02))).simultaneous
     topics = [{remark.topic: remark.sentence for remark in advise_recording(data)} for data in (usual, late)]
     assert "simultaneous samples" not in topics[0]
     assert "import the log with --advance" in topics[1]["simultaneous samples"]
