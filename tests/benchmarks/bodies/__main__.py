@@ -1,9 +1,9 @@
 """Controllers evolved in models only against ones evolved on the simulator: ``python -m tests.benchmarks.bodies``.
 
-A comparison records each of ``--cases``, a robot and perhaps a task, and evolves in the models. Another search runs on
-the simulator itself: for a quadrotor on compiled equations, see `tests.benchmarks.bodies.flight`, from the same starts;
-for others, of which a step takes long, that of a linear law with small populations, which is no upper limit. Prints
-what both controllers achieve on the robot in the same trials. Finished steps in the folder ``--out`` are not repeated.
+A comparison records each of ``--cases``, a robot and perhaps a task, and evolves in the models. Another search, from
+the same starts, runs on the compiled equations of the simulator, see `tests.benchmarks.bodies.flight` and
+`tests.benchmarks.bodies.sliding`. Prints what both controllers achieve on the robot in the same trials. Finished steps
+in the folder ``--out`` are not repeated.
 """
 
 from __future__ import annotations
@@ -19,12 +19,15 @@ from evaluation import compare
 from evaluation.cells.controllers import DEFAULT_STARTS
 from evaluation.transfer.matrix import transfer
 from hardware.robot import Robot, find_robot
+from hardware.simulators.drift_car import DriftCar
 from hardware.simulators.quadrotor import Quadrotor
-from sysid_evo.engine import DynamicsRunner, Runner
+from sysid_evo.engine import DynamicsRunner
 from sysid_evo.evolution import ControllerEvolution, evolve_controller
 from sysid_evo.evolution.halving import Start
-from sysid_evo.registry import Spec
-from tests.benchmarks.bodies.flight import Flight, agreement
+from sysid_evo.models.dynamics import PlainDynamics
+from tests.benchmarks.bodies.agreement import agreement
+from tests.benchmarks.bodies.flight import Flight
+from tests.benchmarks.bodies.sliding import Slide
 from tests.benchmarks.markdown import add_markdown, print_tables
 
 CASES = ("quadrotor/hover", "quadrotor/point_to_point", "drift_car")
@@ -40,22 +43,15 @@ COLUMNS = (
 )
 WORDS = 3
 
-SLOW_SEARCH = {
-    "controller": Spec("linear"),
-    "strategy": Spec("cma_es", {"sigma": 0.3, "population": 12}),
-    "trials": 3,
-    "selection_trials": 10,
-}
 
-
-def search_on(robot: Robot, task: str, generations: int) -> tuple[Runner, ControllerEvolution]:
-    """Return what the search on the simulator runs in, and its settings."""
+def compiled(robot: Robot) -> tuple[PlainDynamics, float]:
+    """Return the compiled equations of a robot, and the largest difference of a state from the robot."""
     if isinstance(robot, Quadrotor):
-        starts = Start.listed(DEFAULT_STARTS)
-        return DynamicsRunner(Flight(robot)), ControllerEvolution(generations=generations, task=task, starts=starts)
-    runner = robot.runner()
-    assert runner is not None
-    return runner, ControllerEvolution(generations=generations, task=task, **SLOW_SEARCH)
+        flight = Flight(robot)
+        return flight, agreement(flight, robot.simulator, amplitude=0.7)  # full commands turn it over
+    assert isinstance(robot, DriftCar)
+    slide = Slide(robot)
+    return slide, agreement(slide, robot.simulator, amplitude=1.0)
 
 
 def row_of(case: str, options: argparse.Namespace) -> tuple[str, ...]:
@@ -69,8 +65,9 @@ def row_of(case: str, options: argparse.Namespace) -> tuple[str, ...]:
         robot_trials=options.trials, **given,
     )  # fmt: skip
     took, began = time.monotonic() - began, time.monotonic()
-    simulator, search = search_on(robot, task, options.on_simulator)
-    own = evolve_controller("own", {"simulator": simulator}, robot.system, search, seed=options.seed)
+    simulator, difference = compiled(robot)
+    search = ControllerEvolution(generations=options.on_simulator, task=task, starts=Start.listed(DEFAULT_STARTS))
+    own = evolve_controller("own", {"simulator": DynamicsRunner(simulator)}, robot.system, search, seed=options.seed)
     searched, runner = time.monotonic() - began, robot.runner()
     assert runner is not None
     assert report.transfer is not None
@@ -78,7 +75,7 @@ def row_of(case: str, options: argparse.Namespace) -> tuple[str, ...]:
     pick = next(one for one in report.transfer.controllers if one.name == report.transfer.pick)
     assert pick.achieved is not None
     return (
-        name if name != "quadrotor" else f"quadrotor (equations within {agreement(robot):.1g})",
+        f"{name} (equations within {difference:.1g})",
         task,
         f"{pick.name} of {', '.join(pick.against)}",
         f"{pick.achieved.value:.1f} ± {pick.achieved.standard_error:.1f}",

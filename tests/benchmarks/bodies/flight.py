@@ -1,7 +1,6 @@
 """The equations of rotorpy's `Multirotor` under thrust and rates, compiled, for evolution on the simulator itself.
 
-A step of rotorpy takes milliseconds, so an evolution on it takes days. This copy takes microseconds; `agreement`
-measures how far its states are from those of rotorpy.
+A step of rotorpy takes milliseconds, so an evolution on it takes days. This copy takes microseconds.
 """
 
 from __future__ import annotations
@@ -118,21 +117,3 @@ def fly(x: Any, u: Any, p: Any) -> Any:
         k4 = rate(along(y, k3, h), command, p)
         y = along(along(along(along(y, k1, h / 6.0), k2, h / 3.0), k3, h / 3.0), k4, h / 6.0)
     return y
-
-
-def agreement(robot: Quadrotor, episodes: int = 5, steps: int = 50) -> float:
-    """Return the largest difference of a state from rotorpy over ``episodes`` of ``steps`` under random commands."""
-    flight, rng, worst = Flight(robot), np.random.default_rng(0), 0.0
-    with robot.simulator.open() as session:
-        for seed in range(episodes):
-            state = session.reset(seed)
-            carry = flight.start(state[None, None], np.zeros((1, 0, 4)))
-            command = robot.system.actuate(rng.uniform(-0.7, 0.7, 4))
-            for k in range(steps):
-                command = robot.system.actuate(rng.uniform(-0.7, 0.7, 4)) if k % 5 == 0 else command
-                state, _, ended, _ = session.step(command)
-                carry = flight.step(carry, command[None])
-                if ended:
-                    break
-                worst = max(worst, float(np.abs(carry[0, :9] - state).max()))
-    return worst
