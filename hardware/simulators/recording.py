@@ -12,7 +12,6 @@ from hardware.run_report import LoopReport, StopReason, StopRequest
 from hardware.simulators.simulator import LONGEST_SEED, ExternalSimulator, SimulatorSession, ending_of
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
-from sysid_evo.motion import PlanarBody
 from sysid_evo.progress import Progress
 from sysid_evo.system import System
 from sysid_evo.types import Array
@@ -33,10 +32,9 @@ def record_simulator(simulator: ExternalSimulator, duration: float, job: Recordi
     """Excite ``simulator`` for ``duration`` s of its time and return the recording.
 
     An eighth of the time is used for each of steps of three lengths, sine sweeps, and four times random feedback. When
-    an episode ends, because it is over or its time is up, the next begins with a reset of the simulator. For a planar
-    body, the excitation begins again every `RENEWED` samples: under most feedbacks it soon rests or circles.
-    The same seed gives the same recording. Raises `InvalidArgument` if it is too short, `InvalidData` if the simulator
-    returns numbers that are not finite or ends every episode at once.
+    an episode ends, because it is over or its time is up, the next begins with a reset of the simulator. The same seed
+    gives the same recording. Raises `InvalidArgument` if it is too short, `InvalidData` if the simulator returns
+    numbers that are not finite or ends every episode at once.
     """
     system, stop = simulator.system, job.stop
     each = samples_each(simulator, duration)
@@ -120,11 +118,8 @@ def _episodes(
         with stop.answer(simulator.name):
             states, controls, rewards = [session.reset(int(rng.integers(LONGEST_SEED)))], [], []
         script.begin(lasted)
-        ended, ending, lasted = False, "", 0
+        ended, ending = False, ""
         while done < steps and not ended and stop.reason is None:
-            if isinstance(system.motion, PlanarBody) and lasted == RENEWED:
-                script.begin(lasted)
-                lasted = 0
             control = system.actuate(script.next(states[-1]))
             with stop.answer(simulator.name):
                 state, reward, over, late = session.step(control)
@@ -133,7 +128,7 @@ def _episodes(
             rewards.append(reward)
             ended, ending = over or late, ending_of(over, late)
             done += 1
-            lasted += 1
+        lasted = len(controls)
         counted(done)
         yield states, controls, rewards, ending
 
@@ -142,10 +137,6 @@ def _counter(progress: Progress | None, before: int, total: int) -> Callable[[in
     return lambda done: None if progress is None else progress(before + done, total)
 
 
-RENEWED = 100
-"""Samples after which the excitation of a planar body changes within an episode."""
-LOWEST = 0.1
-"""Lowest height of the steps of a planar body, as a share of the range of a control."""
 SWEEP = 200
 """Samples of one sine sweep."""
 FASTEST, SLOWEST = 4.0, 100.0
@@ -161,7 +152,7 @@ class ExcitationScript(ABC):
 
     @abstractmethod
     def begin(self, lasted: int) -> None:
-        """Begin an episode or a part of one; the one before ``lasted`` that many steps, 0 if there was none."""
+        """Begin an episode; the one before ``lasted`` that many steps, 0 if there was none."""
 
     @abstractmethod
     def next(self, state: Array) -> Array:
@@ -169,37 +160,19 @@ class ExcitationScript(ABC):
 
 
 class RandomSteps(ExcitationScript):
-    """Every control jumps to a value at random times, independently; one time in three to one of its limits.
-
-    For a planar body, the jumps of each continuous control are around neutral, with a height from `LOWEST` to 1 that is
-    drawn at every begin: at full commands a car slides, and a controller uses smaller ones. A controller evolved to
-    hover was worse with such a recording of a quadrotor.
-    """
+    """Every control jumps to a value at random times, independently; one time in three to one of its limits."""
 
     def __init__(self, system: System, mean: float, rng: np.random.Generator) -> None:
         self._rng, self._mean = rng, mean
         self._value = self._drawn(system.nu)
-        self._neutral = system.raw_output(system.neutral_control)
-        planar = isinstance(system.motion, PlanarBody)
-        self._varied = np.array([planar and one.levels is None for one in system.controls])
-        self._height = np.ones(system.nu)
-        self.draw_height()
 
     def begin(self, lasted: int) -> None:
         self._value = self._drawn(len(self._value))
-        self.draw_height()
-
-    def draw_height(self) -> None:
-        """Draw the height of the steps of each control that varies."""
-        if self._varied.any():
-            drawn = np.exp(self._rng.uniform(np.log(LOWEST), 0.0, len(self._height)))
-            self._height = np.where(self._varied, drawn, 1.0)
 
     def next(self, state: Array) -> Array:
         jumps = self._rng.random(len(self._value)) < 1.0 / self._mean
         self._value = np.where(jumps, self._drawn(len(self._value)), self._value)
-        lower = self._neutral + self._height * (self._value - self._neutral)
-        return np.where(self._varied, lower, self._value)
+        return self._value
 
     def _drawn(self, count: int) -> Array:
         inner = self._rng.uniform(-1.0, 1.0, count)
@@ -250,7 +223,6 @@ class RandomFeedback(ExcitationScript):
         self._weights = self._drawn()
         self._aim = self._seen[self._rng.integers(len(self._seen))]
         self._dither = self._rng.uniform(0.0, 2.0 * FEEDBACK)
-        self._steps.draw_height()
 
     def next(self, state: Array) -> Array:
         step = self._steps.next(state)
