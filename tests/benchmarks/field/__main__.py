@@ -3,8 +3,8 @@
 Every package is fitted to the same recordings, a controller is evolved in each model, and run on the emulated robot, or
 on the other models where there is none. A table for each system has the simulation error N (RMSE in standard deviations
 of the recording) at four horizons and over whole episodes, the seconds of a fit and of a million steps, the fitness of
-the controller, the share of its claim that it keeps, and whether the claim is exploited: means over seeds, with the
-lowest and the highest. The recordings are those of `tests.benchmarks.cars`, in ``$SYSID_EVO_DATA``. Finished steps in
+the controller, the share of its claim that it keeps, and whether the claim is exploited: means over seeds, with half
+the distance of the lowest and the highest. The recordings are those of `tests.benchmarks.cars`, in ``$SYSID_EVO_DATA``. Finished steps in
 FOLDER are not repeated. The extra ``field`` has the packages, the file ``constraints.txt`` here their versions.
 """
 
@@ -124,11 +124,11 @@ def table_of(system: str, rows: Sequence[Sequence[tuple[str, list[float], str]]]
 
 
 def spread(values: np.ndarray[Any, Any]) -> str:
-    """Return the mean of several seeds with the lowest and the highest; "-" if one is not known."""
+    """Return the mean of several seeds and half the distance of lowest and highest; "-" if one is not known."""
     if not np.isfinite(values).all():
         return "-"
-    ends = f" ({values.min():.3g} to {values.max():.3g})" if np.ptp(values) > 0 else ""
-    return f"{values.mean():.3g}{ends}"
+    half = f" ± {np.ptp(values) / 2:.1g}" if np.ptp(values) > 0 else ""
+    return f"{values.mean():.3g}{half}"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
