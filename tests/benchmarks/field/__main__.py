@@ -4,8 +4,9 @@ Every package is fitted to the same recordings, a controller is evolved in each 
 on the other models where there is none. A table for each system has the simulation error N (RMSE in standard deviations
 of the recording) at four horizons and over whole episodes, the seconds of a fit and of a million steps, the fitness of
 the controller, the share of its claim that it keeps, and whether the claim is exploited: means over seeds, with half
-the distance of the lowest and the highest. The recordings are those of `tests.benchmarks.cars`, in ``$SYSID_EVO_DATA``. Finished steps in
-FOLDER are not repeated. The extra ``field`` has the packages, the file ``constraints.txt`` here their versions.
+the distance of the lowest and the highest. The recordings are those of `tests.benchmarks.cars`, in
+``$SYSID_EVO_DATA``. Finished steps in FOLDER are not repeated. The extra ``field`` has the packages, the file
+``constraints.txt`` here their versions.
 """
 
 from __future__ import annotations
