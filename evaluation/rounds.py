@@ -49,13 +49,12 @@ class RecordingRound:
     def holds(self) -> bool:
         """Whether the episodes achieve what the models claimed, up to a tenth of it and two standard errors."""
         claimed, achieved = float(self.claimed.mean()), float(self.achieved.mean())
-        error = float(self.achieved.std(ddof=1) / np.sqrt(len(self.achieved)))
-        return achieved >= claimed - max(HOLDS * abs(claimed), 2.0 * error)
+        return achieved >= claimed - max(HOLDS * abs(claimed), 2.0 * self.standard_error)
 
     @property
-    def no_gain_over(self) -> float:
-        """Fitness that a later round must exceed to be better: the mean achieved plus its standard error, twice."""
-        return float(self.achieved.mean() + 2.0 * self.achieved.std(ddof=1) / np.sqrt(len(self.achieved)))
+    def standard_error(self) -> float:
+        """Standard error of the mean fitness of the judged episodes."""
+        return float(self.achieved.std(ddof=1) / np.sqrt(len(self.achieved)))
 
 
 @dataclass(frozen=True)
@@ -81,6 +80,18 @@ def best_round(known: Sequence[RecordingRound]) -> RecordingRound | None:
     return max(known, key=lambda one: float(one.achieved.mean()), default=None)
 
 
+def round_to_continue(known: Sequence[RecordingRound]) -> RecordingRound | None:
+    """Return the last round that is no worse than the best up to its standard error, None without any.
+
+    A search that always continued from the best would do the same again after every round that is just below it.
+    """
+    best = best_round(known)
+    equal = [
+        one for one in known if best and float(one.achieved.mean()) + one.standard_error >= float(best.achieved.mean())
+    ]
+    return equal[-1] if equal else None
+
+
 def reason_to_end(known: Sequence[RecordingRound], last: RecordingRound, steps: int) -> str:
     """Return why no round follows ``last``, empty if one does; ``known`` are those before it.
 
@@ -94,5 +105,5 @@ def reason_to_end(known: Sequence[RecordingRound], last: RecordingRound, steps: 
     best = best_round(known)
     if best is None or not known[-1].holds or not last.holds or not settled:
         return ""
-    gains = float(last.achieved.mean()) > best.no_gain_over
+    gains = float(last.achieved.mean()) > float(best.achieved.mean()) + 2.0 * best.standard_error
     return "" if gains else "the claims of two rounds held, and the last one gained nothing"

@@ -15,7 +15,15 @@ from evaluation.cells.learned_task import LearnTask, learned_task, needed
 from evaluation.cells.models import Fit
 from evaluation.cells.plants import ROLLOUT_STEPS_PER_SECOND, Plant, fitted, labels_of, runners
 from evaluation.experiment import Experiment, default_task
-from evaluation.rounds import ERROR_STEPS, SHORT_EPISODE, RecordingRound, RoundsSummary, best_round, reason_to_end
+from evaluation.rounds import (
+    ERROR_STEPS,
+    SHORT_EPISODE,
+    RecordingRound,
+    RoundsSummary,
+    best_round,
+    reason_to_end,
+    round_to_continue,
+)
 from evaluation.storage import load_result, save_result
 from sysid_evo.controllers.controller import Controller, make_controller
 from sysid_evo.controllers.linear import Exploring
@@ -110,7 +118,7 @@ class RoundsSoFar:
 class Round(CellSettings):
     """Round ``number``: fit ``specs`` to all data so far, evolve a controller in them, record ``robot`` under it.
 
-    The evolution starts from the best controller so far, other runs from the beginning. ``noise`` is that of
+    The evolution continues from that of `round_to_continue`, other runs from the beginning. ``noise`` is that of
     `Exploring`, in a share ``noisy_share`` of the episodes. The others have the same starts in every round, and their
     fitness alone is compared. Judged episodes last as long as the trial, up to `LONGEST_SHARE` of ``max_steps``: a
     controller that lasts is recorded in fewer and longer episodes, and returns of all rounds are comparable. No round
@@ -172,14 +180,14 @@ class Round(CellSettings):
         goal = recorded_task(self.evolution.task, dataset)
         learned = {spec.label: Fit(spec, self.data, self.seed, self.preset).learn(dataset) for spec in self.specs}
         known: Sequence[RecordingRound] = summary.rounds
-        best = best_round(known)
+        start = round_to_continue(known)
         champion = evolve_controller(
             f"round {self.number}",
             learned,
             dataset.system,
-            in_trials_of(continued(self.evolution, best), goal, search_horizon(known, longest)),
+            in_trials_of(continued(self.evolution, start), goal, search_horizon(known, longest)),
             seed=cell_seed(self.seed, f"round {self.number}"),
-            initial=None if best is None else best.parameters,
+            initial=None if start is None else start.parameters,
             progress=work.progress,
         )
         law, robot = make_controller(champion.controller), self.robot.runner(work, delay=0.0)
@@ -246,14 +254,14 @@ def in_trials_of(evolution: ControllerEvolution, task: Spec, horizon: int) -> Co
     return replace(evolution, task=with_horizon(task, horizon), generations=generations)
 
 
-def continued(evolution: ControllerEvolution, best: RecordingRound | None) -> ControllerEvolution:
-    """Return ``evolution`` with the start first whose controller is that of ``best``, from which it continues.
+def continued(evolution: ControllerEvolution, earlier: RecordingRound | None) -> ControllerEvolution:
+    """Return ``evolution`` with the start first whose controller is that of ``earlier``, from which it continues.
 
-    A run that only continues searches nearer to ``best``: a large sigma would lose what the rounds before have found.
+    A run that only continues searches nearer to it: a large sigma would lose what the rounds before have found.
     """
-    if best is None:
+    if earlier is None:
         return evolution
-    starts = sorted(evolution.starts, key=lambda one: one.controller.text != best.controller)
+    starts = sorted(evolution.starts, key=lambda one: one.controller.text != earlier.controller)
     if starts:
         starts[0] = replace(starts[0], strategy=nearer(starts[0].strategy))
     strategy = nearer(evolution.strategy) if evolution.repeats == 1 else evolution.strategy
@@ -417,5 +425,5 @@ def _load(path: Path) -> RoundsSoFar:
     return RoundsSoFar(Dataset.load(path / "data"), load_result(RoundsSummary, path / "rounds"))
 
 
-CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=3)
+CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=4)
 CELL_KINDS["choose_round"] = CellKind(CONTROLLERS, version=3, tolerant=True)

@@ -21,7 +21,7 @@ from evaluation.planning import plan_comparison
 from evaluation.report.report import brief, to_html
 from evaluation.report.sections.controllers import fitness_table
 from evaluation.report.sections.rounds import rounds_sentence, rounds_table
-from evaluation.rounds import RecordingRound, RoundsSummary, reason_to_end
+from evaluation.rounds import RecordingRound, RoundsSummary, reason_to_end, round_to_continue
 from evaluation.running import with_further_families
 from sysid_evo.data import Dataset
 from sysid_evo.engine import Rollouts
@@ -181,6 +181,16 @@ def test_rounds_end_if_two_claims_held_without_a_gain_in_whole_episodes():
     assert reason_to_end([first], falls, 100)  # its models predict it, with an error of 0.3
     assert not reason_to_end([first], replace(falls, errors={"a": 2.0}), 100)
     assert not reason_to_end([first], replace(same, steps=np.full(8, 100)), 100)  # half of its episodes have noise
+
+
+def test_the_next_round_continues_from_the_last_one_that_is_no_worse_than_the_best():
+    spread = np.array([-1.0, 0.0, 1.0])  # a standard error of 0.58
+    best, near, worse = (made(number, spread, spread + level) for number, level in ((1, 5.0), (2, 4.5), (3, 4.3)))
+    assert round_to_continue([]) is None
+    assert round_to_continue([best]) is best
+    assert round_to_continue([best, near]) is near
+    assert round_to_continue([best, near, worse]) is near
+    assert round_to_continue([near, best, worse]) is best
 
 
 class Work:
