@@ -1,4 +1,4 @@
-"""The records of the benchmark of simultaneous sampling are what their names say."""
+"""Records of the benchmark of simultaneous sampling have the timing that their names give."""
 
 from dataclasses import replace
 

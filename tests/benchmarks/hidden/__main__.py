@@ -116,7 +116,7 @@ def scored(steps: int, after: int | None) -> IntArray:
 
 
 def free_run_error(model: DynamicsModel, test: Dataset, after: int | None = None) -> float:
-    """Return the error from sample `BEGIN` of the only episode to its end, or ``after`` so many steps of many runs."""
+    """Return the error from sample `BEGIN` of the only episode to its end, or ``after`` steps of many runs."""
     run, lags = test.episodes[0], model.n_lags
     some = scored(len(run), after)
     if after is None:

@@ -15,7 +15,7 @@ from sysid_evo.validation.simulation_error import (
 
 
 def recorded(steps, response, *, scale=1.0):
-    """Return episodes of these ``steps`` of a lag of first order under white noise, beside a much faster one."""
+    """Return episodes of these ``steps`` of a lag of first order under white noise, and of a much faster one."""
     system, rng = System(("slow", "fast"), ("u",), dt=0.1), np.random.default_rng(0)
     states = []
     for count in steps:
