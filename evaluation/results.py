@@ -8,8 +8,6 @@ from datetime import date
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from evaluation.advice.evidence import ModelAdvice
 from evaluation.behaviour import DrivingSummary, driving_summaries
 from evaluation.exploitability.results import ModelExploitability, outside_shares
@@ -65,16 +63,15 @@ class ComparisonResults(Displayed):
     def transfer(self) -> TransferSummary | None:
         """Claimed and achieved fitness of every controller, and the recommended one, by its forecast.
 
-        The controller of rounds is recommended instead of a baseline if it achieved more in its recorded episodes than
-        the forecast of the baseline.
+        The controller of rounds is recommended instead of a baseline if it achieved more than controls at rest while
+        it was recorded.
         """
         if self.matrix is None or not self.matrix.champions:
             return None
         pick = best_choice(self.matrix, self.forecasts)
         if pick in self.matrix.baselines and ROUNDS in self.forecasts and self.rounds is not None:
-            # what it achieved while it was recorded is known, whatever the models expect of it
-            recorded = max((float(one.achieved.mean()) for one in self.rounds.rounds), default=-np.inf)
-            pick = ROUNDS if recorded > self.forecasts[pick].value else pick
+            # both were measured, whatever the models expect of them
+            pick = ROUNDS if self.rounds.better_than_rest else pick
         return chosen_by(summarise(self.matrix), self.forecasts, pick)
 
     @cached_property

@@ -61,18 +61,26 @@ class RecordingRound:
 class RoundsSummary:
     """All rounds so far, the steps of the ``first`` recording, and the median length of its episodes.
 
-    ``ended`` is the reason why no further round is made, empty if there is none.
+    ``ended`` is the reason why no further round is made, empty if there is none. ``rest`` (J,) is the fitness of
+    controls at rest in episodes such as the judged ones, which were not recorded; None before the first round.
     """
 
     first: int
     first_episode: int
     rounds: tuple[RecordingRound, ...] = ()
     ended: str = ""
+    rest: Array | None = None
 
     @property
     def steps(self) -> int:
         """All recorded steps."""
         return self.first + sum(int(one.steps.sum()) for one in self.rounds)
+
+    @property
+    def better_than_rest(self) -> bool:
+        """Whether the best controller achieved more in its judged episodes than controls at rest in theirs."""
+        best = best_round(self.rounds)
+        return best is not None and self.rest is not None and float(best.achieved.mean()) > float(self.rest.mean())
 
 
 def best_round(known: Sequence[RecordingRound]) -> RecordingRound | None:

@@ -179,8 +179,8 @@ def _effect(change: Array, control: Array, others: Array, rows: BoolArray) -> tu
     if rank < x.shape[1]:
         return None
     left = change[rows] - x @ weights
-    variance = (left @ left) / (len(left) - rank) * np.linalg.inv(x.T @ x)[0, 0]
-    return float(weights[0]), float(np.sqrt(variance))
+    row = np.linalg.pinv(x)[0]  # its square is the first variance, never negative as that of an inverse may be
+    return float(weights[0]), float(np.sqrt((left @ left) / (len(left) - rank) * (row @ row)))
 
 
 def weak_region(evidence: Evidence) -> Remark | None:

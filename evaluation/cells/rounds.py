@@ -200,6 +200,11 @@ class Round(CellSettings):
             explored = record_until(explorer, champion.parameters, seeds, noisy * short)
             driver, seeds = law, trial_seeds(seed, max(FEWEST_EPISODES, episodes - noisy))
         judge = make_task(with_horizon(goal, whole))
+        rest = summary.rest
+        if rest is None:
+            idle = Champion.baseline("constant", self.evolution.task, dataset.system)
+            idly = robot.bind(make_controller(idle.controller), judge)
+            rest = idly(idle.parameters[None], trial_seeds(seed, FEWEST_EPISODES)).fitness[0]
         judged = record_until(robot.bind(driver, judge), champion.parameters, seeds, len(seeds) * short)
         driven, seeds = [*explored, *judged], seeds[: len(judged)]
         recorded = [run for one in driven for run in one.trajectories]
@@ -217,7 +222,7 @@ class Round(CellSettings):
             errors={label: error_ahead(model, dataset, new) for label, model in learned.items()},
         )
         ended = reason_to_end(known, made, whole)
-        summary = replace(summary, rounds=(*known, made), ended=ended)
+        summary = replace(summary, rounds=(*known, made), ended=ended, rest=rest)
         return RoundsSoFar(dataset.with_episodes([*dataset.episodes, *new]), summary)
 
 
@@ -425,5 +430,5 @@ def _load(path: Path) -> RoundsSoFar:
     return RoundsSoFar(Dataset.load(path / "data"), load_result(RoundsSummary, path / "rounds"))
 
 
-CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=4)
+CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=5)
 CELL_KINDS["choose_round"] = CellKind(CONTROLLERS, version=3, tolerant=True)

@@ -368,9 +368,11 @@ def headline(report: ComparisonResults) -> Answer:
     if summary is None:
         return Answer(question, "Not known", (_absent(report)[0],))
     assert report.matrix is not None
-    if none_beats_rest(report.matrix) or summary.pick in (*report.matrix.at_rest, *report.matrix.at_random):
-        why = filter(None, (LOOK_AT_THE_REWARD, _to_record(report)))
-        return Answer(question, "None", tuple(why), "warn")
+    if none_beats_rest(report.matrix):
+        return Answer(question, "None", tuple(filter(None, (LOOK_AT_THE_REWARD, _to_record(report)))), "warn")
+    if summary.pick in (*report.matrix.at_rest, *report.matrix.at_random):
+        why = (NO_BETTER.format(summary.pick), _better(summary.controller(summary.pick), report), _to_record(report))
+        return Answer(question, "None", tuple(filter(None, why)), "warn")
     if summary.pick is None:
         return Answer(question, "Not known", (NO_OTHER_FAMILY,))
     pick = summary.controller(summary.pick)

@@ -31,13 +31,15 @@ class RoundPart(Part):
 class RoundsPart(Part):
     """Rounds of recording after the ``first`` one, in steps, whose episodes have a median of ``first_episode`` steps.
 
-    ``ended`` is the reason why no further round was made.
+    ``ended`` is the reason why no further round was made. ``rest`` is the fitness of controls at rest in each judged
+    episode.
     """
 
     first: int
     first_episode: int
     rounds: tuple[RoundPart, ...]
     ended: str
+    rest: Numbers | None
 
 
 def section(report: ComparisonResults) -> Section | None:
@@ -66,6 +68,8 @@ def rounds_table(report: ComparisonResults) -> TableElement | None:
                 _errors(one),
             )
         )
+    if summary.rest is not None:
+        rows.append(("rest", "–", "–", "–", three_digits(float(summary.rest.mean())), "–"))
     return TableElement(
         title=f"Rounds of recording{f' ({unit})' if unit else ''}",
         columns=COLUMNS,
@@ -77,7 +81,8 @@ def rounds_table(report: ComparisonResults) -> TableElement | None:
 NOTE = (
     "Claimed, achieved: mean fitness in the models and in the recorded episodes, in both with noise on the commands if "
     "every episode has it, else without. "
-    "Error: of the models of the round on its new episodes, in standard deviations."
+    "Error: of the models of the round on its new episodes, in standard deviations. Rest: controls at rest, in three "
+    "episodes that are not recorded."
 )
 
 

@@ -233,10 +233,12 @@ def with_rounds(summary):
 
 
 def test_the_report_has_a_row_for_each_round_and_says_why_there_are_no_more():
-    shown = with_rounds(RoundsSummary(1600, 7, ROUNDS, "1900 recorded steps are the most"))
+    ended, rest = "1900 recorded steps are the most", np.array([3.0, 4.0])
+    shown = with_rounds(RoundsSummary(1600, 7, ROUNDS, ended, rest))
     table = rounds_table(shown)
-    assert [row[0] for row in table.rows] == ["first", "1", "2", "3"]
-    assert [row[1] for row in table.rows] == ["1600", "1900", "2200", "2500"]
+    assert [row[0] for row in table.rows] == ["first", "1", "2", "3", "rest"]
+    assert [row[1] for row in table.rows] == ["1600", "1900", "2200", "2500", "–"]
+    assert table.rows[-1][4] == "3.50"
     assert table.rows[2][3:] == ("20.0", "20.0", "a 0.300")
     sentence = rounds_sentence(shown)
     assert sentence.startswith("Half of the episodes of the first recording end within 7 steps")
@@ -249,12 +251,12 @@ def test_the_report_has_a_row_for_each_round_and_says_why_there_are_no_more():
     assert "forecast, the only figure by which" in fitness_table(replace(shown, rounds=None)).note
 
 
-def test_a_baseline_is_chosen_only_if_its_forecast_is_above_what_was_recorded_under_the_controller_of_rounds():
+def test_a_baseline_is_chosen_only_if_controls_at_rest_achieved_more_than_the_controller_of_rounds():
     rows = {"rounds": {"a": -20.0, "b": -21.0}, "rest": {"a": -12.0, "b": -12.0}}
     found = report(transfer=matrix(rows, against={"rounds": ("a", "b")}))
     assert found.transfer.pick == "rest"
-    for achieved, pick in (([-9.0, -8.0], "rounds"), ([-15.0, -14.0], "rest")):
-        summary = RoundsSummary(first=100, first_episode=50, rounds=(made(1, [-20.0, -21.0], achieved),))
+    for rest, pick in (([-9.0, -8.0], "rounds"), ([-4.0, -4.0], "rest")):
+        summary = RoundsSummary(100, 50, (made(1, [-20.0, -21.0], [-8.0, -7.0]),), rest=np.array(rest))
         assert replace(found, rounds=summary).transfer.pick == pick
     assert replace(found, rounds=RoundsSummary(first=100, first_episode=50)).transfer.pick == "rest"
 

@@ -126,7 +126,8 @@ def test_if_rest_has_the_highest_forecast_there_is_no_choice_and_the_sentence_sa
     assert made.transfer.pick == "rest"
     card = headline(made, "Which controller")
     assert (card.answer, card.command) == ("None", "")
-    assert card.sentence.startswith("No controller does better than controls at rest")
+    assert card.sentence.startswith("No evolved controller has a higher forecast than the baseline rest.")
+    assert "a does better on the robot, 9.00" in card.sentence
     short = replace(made, data=replace(made.data, training=(EpisodeSummary("a", 7, 0.1, 1.0),)))
     assert headline(short, "Which controller").sentence.endswith(
         "within 7 steps: record under controllers, with --rounds 6."
