@@ -47,7 +47,7 @@ class MethodState(StateSetter):
 
 @dataclass(frozen=True)
 class Coordinate:
-    """One coordinate of a simulation: a state, the angle of a sine and a cosine, or ``value`` without ``places``."""
+    """One coordinate of a simulation: a state plus ``value``, the angle of a sine and a cosine, or ``value`` alone."""
 
     places: tuple[int, ...]
     value: float = 0.0
@@ -56,7 +56,7 @@ class Coordinate:
         """Return its value in ``state`` (nx,)."""
         if len(self.places) == 2:
             return float(np.arctan2(state[self.places[0]], state[self.places[1]]))
-        return float(state[self.places[0]]) if self.places else self.value
+        return self.value + (float(state[self.places[0]]) if self.places else 0.0)
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,11 @@ class MujocoState(StateSetter):
         inner.set_state(*(np.array([one.of(state) for one in part]) for part in (self.positions, self.velocities)))
 
 
-STEPS = 100
-"""Number of random steps on which a way is tried."""
+STEPS, EPISODE = 100, 20
+"""Number of random steps on which a way is tried, and of those after which another episode begins.
+
+Of several, since what is drawn when an episode begins is constant in it.
+"""
 CLOSE = 1e-3
 """Largest error of a state and of a reward, as a share of their ranges in the trial."""
 
@@ -111,16 +114,18 @@ class RandomStep:
     inside: Array
 
 
-def random_steps(env: gymnasium.Env[Any, Any], observations: ObservationMap, count: int) -> Iterator[RandomStep]:
-    """Yield ``count`` steps under random actions, over as many episodes as needed."""
+def random_steps(
+    env: gymnasium.Env[Any, Any], observations: ObservationMap, count: int, longest: int | None = None
+) -> Iterator[RandomStep]:
+    """Yield ``count`` steps under random actions, over as many episodes as needed, of at most ``longest`` steps."""
     env.action_space.seed(0)
     rng = np.random.default_rng(0)
     observation, _ = env.reset(seed=0)
-    for _ in range(count):
+    for step in range(1, count + 1):
         before, inside, action = observations.state(observation), _inside(env), env.action_space.sample()
         observation, reward, ended, late, _ = env.step(action)
         yield RandomStep(before, action, observations.state(observation), float(reward), bool(ended), inside)
-        if ended or late:
+        if ended or late or (longest is not None and step % longest == 0):
             observation, _ = env.reset(seed=int(rng.integers(2**31)))
 
 
@@ -136,7 +141,7 @@ def _inside(env: gymnasium.Env[Any, Any]) -> Array:
 def _found(name: str, observations: ObservationMap, settings: KeptSettings) -> StateSetter | str:
     env, twin = (make_environment(name, settings.values) for _ in range(2))
     try:
-        steps = list(random_steps(env, observations, STEPS))
+        steps = list(random_steps(env, observations, STEPS, EPISODE))
         ways = _ways(env, steps, observations)
         if not ways:
             return f"{name} has no attribute state with its states, no get_state and set_state, and no MuJoCo data"
@@ -172,7 +177,7 @@ def _ways(env: gymnasium.Env[Any, Any], steps: Sequence[RandomStep], observation
 
 EXACT = 1e-5
 MATCHING = 0.9
-"""Share of the steps in which a state must be the coordinate; an observation may be clipped in others."""
+"""Share of the steps in which a state must give the coordinate; an observation may be clipped in others."""
 
 
 def _coordinate(values: Array, states: Array, wrapped: frozenset[int]) -> Coordinate:
@@ -180,9 +185,13 @@ def _coordinate(values: Array, states: Array, wrapped: frozenset[int]) -> Coordi
     if np.ptp(values) == 0.0:
         return Coordinate((), float(values[0]))
     for place, column in enumerate(states.T):
-        off = wrap(column - values, TURN) if place in wrapped else column - values
+        if place in wrapped:
+            off, between = wrap(column - values, TURN), 0.0
+        else:
+            between = float(np.median(values - column))  # as of a body whose joint has its zero elsewhere
+            off = column + between - values
         if np.mean(np.abs(off) < EXACT) >= MATCHING:
-            return Coordinate((place,))
+            return Coordinate((place,), between if abs(between) >= EXACT else 0.0)
     for sine, one in enumerate(states.T):
         for cosine, other in enumerate(states.T):
             if sine != cosine and np.mean(np.abs(wrap(np.arctan2(one, other) - values, TURN)) < EXACT) >= MATCHING:
