@@ -12,7 +12,7 @@ from sysid_evo import Adapter, DynamicsModel, make_model, register_adapter
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.laws import keep_source
 from sysid_evo.models import bases_of
-from sysid_evo.registry.objects import keep_object
+from sysid_evo.registry.objects import class_name, keep_object
 from sysid_evo.registry.plugins import PREFIX
 
 
@@ -48,9 +48,13 @@ class PySindyAdapter(Adapter):
     example = "pysindy.SINDy()"
 
     def recognises(self, thing: object) -> bool:
-        return "pysindy._BaseSINDy" in bases_of(thing)
+        return bool(bases_of(thing) & {"pysindy._BaseSINDy", "pysindy.BaseOptimizer"})
 
     def model(self, thing: Any, *, fitted: bool = False) -> DynamicsModel:
+        if "pysindy.BaseOptimizer" in bases_of(thing):
+            raise InvalidArgument(
+                f"expected a SINDy, got its optimizer: models=[pysindy.SINDy(optimizer={class_name(thing)}(...))]"
+            )
         return make_model("pysindy", model=keep_object(thing), fitted=fitted)
 
 
@@ -61,11 +65,18 @@ class ControlAdapter(Adapter):
     example = "control.tf([1], [1, 1])"
 
     def recognises(self, thing: object) -> bool:
-        return bool(bases_of(thing) & {"control.StateSpace", "control.TransferFunction"})
+        return "control.InputOutputSystem" in bases_of(thing)
 
     def model(self, thing: Any, *, fitted: bool = False) -> DynamicsModel:
         import control
 
+        if not bases_of(thing) & {"control.StateSpace", "control.TransferFunction"}:
+            nonlinear = hasattr(thing, "dynamics")
+            instead = "'linear_state_space', which is fitted to the recording"
+            instead = "lambda x, u: system.dynamics(0, x, u)" if nonlinear else instead
+            raise InvalidArgument(
+                f"expected a state space or transfer function, got {class_name(thing)}: pass {instead}"
+            )
         system = control.ss(thing)
         parts = [np.asarray(part, dtype=np.float64).tolist() for part in (system.A, system.B, system.C, system.D)]
         return make_model("lti", model=parts if system.dt is None else [*parts, system.dt])
@@ -85,7 +96,7 @@ class TorchAdapter(Adapter):
 
     def content(self, thing: Any) -> object:
         """Return the printed module and its weights."""
-        return repr(thing), {name: weight.numpy() for name, weight in thing.state_dict().items()}
+        return repr(thing), {name: weight.cpu().double().numpy() for name, weight in thing.state_dict().items()}
 
 
 def definition(thing: Any) -> str:

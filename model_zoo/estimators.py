@@ -31,7 +31,7 @@ MODULES = (
     "cross_decomposition", "dummy", "isotonic", "compose", "multioutput",
 )  # fmt: skip
 """Modules of scikit-learn with regressors; ``sklearn.utils.all_estimators`` finds the same, but imports everything."""
-BOOSTERS = {"LGBMRegressor": "lightgbm", "XGBRegressor": "xgboost"}
+BOOSTERS = {"LGBMRegressor": "lightgbm", "XGBRegressor": "xgboost", "XGBRFRegressor": "xgboost"}
 """Regressors of other packages, which are stored in the text format of their package."""
 SKOPS = "skops.io"
 Format: TypeAlias = Literal["skops", "lightgbm", "xgboost"]
@@ -56,8 +56,10 @@ TRUSTED = frozenset({
 INSTEAD = {
     "sklearn.neighbors._kd_tree.KDTree": "algorithm='brute'",
     "sklearn.neighbors._ball_tree.BallTree": "algorithm='brute'",
+    "sklearn.model_selection._split.KFold": "GridSearchCV(make_pipeline(...), ...), the search around the pipeline,",
 }
 """Settings that avoid a type that is not trusted."""
+OWN = "A regressor or function of your own becomes a family: sysid-evo plugin new NAME"
 
 
 def estimator_class(name: str) -> Any:
@@ -73,7 +75,7 @@ def estimator_class(name: str) -> Any:
     known = sorted({*BOOSTERS, *(regressor for module in MODULES for regressor in _regressors(module))})
     raise UnknownName(
         f"no regressor of scikit-learn, LightGBM or XGBoost is called {name!r}.{did_you_mean(name, known)} "
-        f"Known: {', '.join(known)}. A regressor of your own is passed in Python: models=[{name}()]"
+        f"Known: {', '.join(known)}. {OWN}"
     )
 
 
@@ -108,8 +110,9 @@ def fitted_estimator(unfitted: Any, inputs: Array, targets: Array, seed: int) ->
     """Return a copy of ``unfitted`` fitted to ``targets`` (N, n) at ``inputs`` (N, m), and whether it has converged.
 
     Of a search it is the best estimator.
-    One regressor per output is fitted if it cannot predict several. Random states that are None become ``seed``, and
-    fits run in one thread unless their ``n_jobs`` is given. Raises `InvalidArgument` with the reason of a failure.
+    One regressor per output is fitted if it cannot predict several. Random states that are None become ``seed``, fits
+    run in one thread unless their ``n_jobs`` is given, and neighbours are searched without a tree, which is not stored.
+    Raises `InvalidArgument` with the reason of a failure.
     """
     from sklearn.base import clone
     from sklearn.exceptions import ConvergenceWarning
@@ -120,20 +123,24 @@ def fitted_estimator(unfitted: Any, inputs: Array, targets: Array, seed: int) ->
     free = [key for key, value in made.get_params().items() if value is None]
     made.set_params(**{key: seed for key in free if key.rpartition("__")[2] == "random_state"})
     made.set_params(**{key: 1 for key in free if key.rpartition("__")[2] == "n_jobs"})
+    auto = [key for key, value in made.get_params().items() if isinstance(value, str) and value == "auto"]
+    made.set_params(**{key: "brute" for key in auto if key.rpartition("__")[2] == "algorithm"})
     name = type(made).__name__
     if name == "LGBMRegressor" and "verbosity" not in made.get_params():
         made.set_params(verbosity=-1)
     inner = made.estimator if "sklearn.BaseSearchCV" in bases_of(made) else made
-    separate = name in BOOSTERS or not get_tags(inner).target_tags.multi_output
+    inner = inner.steps[-1][1] if "sklearn.Pipeline" in bases_of(inner) else inner
+    tags = get_tags(inner).target_tags
+    separate = name in BOOSTERS or not tags.multi_output
     if separate:
         made = MultiOutputRegressor(made)
-    elif targets.shape[1] == 1:
+    elif targets.shape[1] == 1 and tags.single_output:
         targets = targets[:, 0]
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             made.fit(inputs, targets)
-    except (ValueError, TypeError, ArithmeticError) as error:
+    except Exception as error:  # a regressor from elsewhere may fail in any way
         raise InvalidArgument(f"{name} cannot be fitted to {len(inputs):,} samples: {error}") from error
     diverged = [one for one in caught if issubclass(one.category, ConvergenceWarning)]
     for one in caught:
@@ -162,7 +169,8 @@ class Boosters:
         if self.package == "lightgbm":
             columns = [booster.predict(inputs, num_threads=1) for booster in self.boosters]
         else:
-            columns = [booster.inplace_predict(inputs) for booster in self.boosters]
+            matrix = import_module("xgboost").DMatrix(inputs)  # boosters of linear functions take no arrays
+            columns = [booster.predict(matrix) for booster in self.boosters]
         return np.column_stack(columns).astype(np.float64)
 
 
@@ -172,7 +180,7 @@ def written(estimator: Any) -> tuple[Format, bytes]:
     name = type(inner[0]).__name__ if len(inner) else ""
     if name == "LGBMRegressor":
         return "lightgbm", json.dumps([one.booster_.model_to_string() for one in inner]).encode()
-    if name == "XGBRegressor":
+    if BOOSTERS.get(name) == "xgboost":
         return "xgboost", json.dumps([_xgboost_text(one.get_booster()) for one in inner]).encode()
     try:
         data = _without_addresses(import_module(SKOPS).dumps(estimator))
@@ -183,6 +191,7 @@ def written(estimator: Any) -> tuple[Format, bytes]:
         boosters = [one for one in BOOSTERS if any(type_.endswith(f".{one}") for type_ in refused)]
         instead = next((INSTEAD[one] for one in refused if one in INSTEAD), None)
         hint = f". Pass {boosters[0]} itself: inputs and outputs are scaled anyway" if boosters else ""
+        hint = f". {OWN}" if any(one.startswith("__main__.") for one in refused) else hint
         hint = f". {instead} avoids it" if instead else hint
         raise InvalidArgument(
             f"{type(estimator).__name__} cannot be stored: {', '.join(refused)} is not among the trusted types{hint}"

@@ -288,6 +288,7 @@ class ScikitLearnAdapter(Adapter):
             key: one for key, one in thing.get_params(deep=False).items() if repr(one) != repr(defaults.get(key))
         }
         plain = all(one is None or type(one) in (bool, int, float, str) for one in changed.values())
+        plain = plain and changed.keys() <= defaults.keys()  # boosters take parameters that they do not name
         if not defaults or not plain or changed.keys() & inspect.signature(Regressor).parameters.keys():
             return Regressor(estimator=clone(thing))
         return Regressor(estimator=name, **changed)

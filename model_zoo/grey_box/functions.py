@@ -18,7 +18,7 @@ from model_zoo.grey_box.parameters import DECADE, Parameter
 from model_zoo.scaling import positive
 from sysid_evo import register_model
 from sysid_evo.data import Dataset
-from sysid_evo.errors import IncompatibleSystem, InvalidArgument, PluginError, ShapeError
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, ShapeError
 from sysid_evo.laws import array_form
 from sysid_evo.models.learned import Declared
 from sysid_evo.registry.objects import class_name, kept_object
@@ -113,8 +113,17 @@ class FunctionGreyBox(GreyBox):
             forms: tuple[str, ...] = FORMS[:2]
         except (TypeError, ValueError, IndexError) as error:
             found, forms = _of_rows(function, x, u, p, error), FORMS[1:2]
-        if not np.isfinite(found).all():
-            raise InvalidArgument(f"equations: expected finite numbers at the recorded states, got {found[0]}")
+        odd = np.flatnonzero(~np.isfinite(found).all(axis=1))
+        if len(odd):
+            raise InvalidArgument(
+                f"equations: expected finite numbers at the recorded states, got {found[odd[0]]} at x = {x[odd[0]]}"
+            )
+        again = _of_one(function, x[0], u[0], p) if len(forms) > 1 else _of_rows(function, x, u, p, ValueError())[0]
+        if not np.array_equal(again, found[0]):
+            raise InvalidArgument(
+                f"equations: expected the same numbers for the same x and u: {class_name(function)} returned "
+                f"{found[0]}, then {again}. It must neither draw random numbers nor keep values between calls"
+            )
         self.form_ = next((one for one in forms if _equals(function, one, x, u, p, found)), "single")
         spread = positive(data.state.std(axis=0))
         reached = {"rate": x + system.dt * found, "next_state": found}
@@ -146,16 +155,13 @@ class FunctionGreyBox(GreyBox):
         for name, allowed in (("form_", FORMS), ("returned_", ("rate", "next_state"))):
             if getattr(self, name, None) not in allowed:
                 raise ShapeError(f"{name}: expected one of {', '.join(allowed)}, got {getattr(self, name, None)!r}")
-        try:
-            return super().learned_arrays()
-        except InvalidArgument as error:  # the function is not in this process
-            raise PluginError(str(error)) from error
+        return super().learned_arrays()
 
     @property
     def fit_note(self) -> str:
-        slow = "" if self.kernel() is not None else "runs in NumPy, because it has no compiled form"
-        if slow and self.form_ == "single":
-            slow += ", one sample at a time: write a if test else b instead of if"
+        single = ", one sample at a time" if self.form_ == "single" else ""
+        slow = "write one number for each state, with x[0], u[0], math and if, and without loops, to have one"
+        slow = "" if self.kernel() is not None else f"runs in NumPy{single}, because it has no compiled form: {slow}"
         return "; ".join(filter(None, (super().fit_note, "" if self.law_parameters() else "used as it is", slow)))
 
 
@@ -192,6 +198,7 @@ def _without_parameters(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _called(function: Callable[..., Any], x: Any, u: Any, p: Any) -> Any:
+    x, u = np.array(x), np.array(u)  # a function may write into its arguments
     return function(x, u, p) if len(p) else function(x, u)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from model_zoo.scaling import ChannelScaling
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.carry import CarryLayout
-from sysid_evo.errors import IncompatibleSystem, InvalidArgument, PluginError, ShapeError
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, ShapeError
 from sysid_evo.models.kernels import Predictor, network_predictor, on_top, runge_kutta_predictor
 from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import Limit, above, at_least
@@ -67,7 +67,8 @@ class TorchModule(DynamicsModel):
         counter = Counter(progress, self.updates)
         with one_thread(int(rng.integers(2**63))):
             equation = self._equation(dataset.system)
-            if not self.fitted:
+            self.trained_ = not self.fitted and any(one.requires_grad for one in equation.module.parameters())
+            if self.trained_:
                 equation.train(
                     dataset,
                     ChannelScaling.of(dataset),
@@ -86,10 +87,7 @@ class TorchModule(DynamicsModel):
         self._equation(system)
 
     def learned_arrays(self) -> Mapping[str, Declared]:
-        try:
-            known = self._equation(self.system).module.state_dict()
-        except InvalidArgument as error:  # the module is not in this process
-            raise PluginError(str(error)) from error
+        known = self._equation(self.system).module.state_dict()
         if getattr(self, "weight_names_", None) != list(known):
             raise ShapeError(f"weight_names_: expected {', '.join(known)}, as in the module")
         return {
@@ -100,7 +98,8 @@ class TorchModule(DynamicsModel):
 
     @property
     def fit_note(self) -> str:
-        return "; ".join(filter(None, (super().fit_note, "used as it is" if self.fitted else "")))
+        as_it_is = "" if getattr(self, "trained_", not self.fitted) else "used as it is"
+        return "; ".join(filter(None, (super().fit_note, as_it_is)))
 
     def next_state(self, carry: Array, control: Array) -> Array:
         return self.equation.next_states(carry, control)
@@ -152,11 +151,12 @@ class TorchModule(DynamicsModel):
         except (RuntimeError, TypeError, ShapeError) as error:
             raise IncompatibleSystem(
                 f"torch_module: expected forward(x, u) that turns (B, {system.nx}) and (B, {system.nu}) into "
-                f"(B, {system.nx}), got {error}"
+                f"(B, {system.nx}), in float64, got {error}"
             ) from error
 
     def _new_module(self, system: System) -> torch.nn.Module:
         """Return a copy of the module with the weights before training."""
+        import torch
         from torch import nn
 
         found = self.module
@@ -168,6 +168,11 @@ class TorchModule(DynamicsModel):
             found = named_in_plugin(found, object)()
         else:
             found = deepcopy(kept_object(found))
+            found = getattr(found, "_orig_mod", found)  # what torch.compile was given
+        if isinstance(found, torch.jit.ScriptModule):
+            for weight in found.parameters():
+                if not weight.is_leaf:  # in a copy of such a module
+                    weight.detach_().requires_grad_()
         if not isinstance(found, nn.Module):
             raise InvalidArgument(f"torch_module: expected a torch.nn.Module, got a {type(found).__name__}")
         return found

@@ -258,15 +258,24 @@ class ModuleEquation(Equation):
     @classmethod
     def of_states(cls, module: torch.nn.Module, system: System, layout: CarryLayout, returns: str) -> Self:
         """Return the equation of ``module``, converted to float64. Raises `ShapeError` for another shape of outputs."""
-        arguments = inspect.signature(module.forward).parameters.values()
-        joined = sum(one.default is one.empty and one.kind is not one.VAR_KEYWORD for one in arguments) == 1
+        if isinstance(module, torch.jit.ScriptModule):
+            forward: Any = module.forward
+            joined = len(forward.schema.arguments) == 2  # the first one is the module
+        else:
+            arguments = inspect.signature(module.forward).parameters.values()
+            joined = sum(one.default is one.empty and one.kind is not one.VAR_KEYWORD for one in arguments) == 1
         none = torch.empty(0, dtype=torch.float64)
         found = cls(module.double(), system, layout, none, none, none, "rk4", False, 0.0, returns, joined)
         with torch.no_grad():
             module.eval()
-            shape = found.given(*(torch.zeros(2, n, dtype=torch.float64) for n in (system.nx, system.nu))).shape
-        if shape != (2, system.nx):
-            raise ShapeError(f"outputs of shape {tuple(shape)} for a batch of 2")
+            inputs = [torch.zeros(2, n, dtype=torch.float64) for n in (system.nx, system.nu)]
+            first, again = found.given(*inputs), found.given(*inputs)
+        if not isinstance(first, torch.Tensor):
+            raise ShapeError(f"a {type(first).__name__}")
+        if first.shape != (2, system.nx):
+            raise ShapeError(f"outputs of shape {tuple(first.shape)} for a batch of 2")
+        if not torch.equal(first.nan_to_num(), again.nan_to_num()):
+            raise ShapeError("other outputs for the same inputs: it must neither keep a state nor draw random numbers")
         return found
 
     def given(self, state: Tensor, control: Tensor) -> Tensor:

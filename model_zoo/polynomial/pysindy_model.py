@@ -17,7 +17,7 @@ from model_zoo.polynomial.libraries import Basis, Fourier, InputSelection, Polyn
 from model_zoo.polynomial.model import MAX_EXPONENT, equation, evaluate
 from model_zoo.polynomial.optimizers import seeded
 from sysid_evo import Dataset, DynamicsModel, register_model
-from sysid_evo.errors import InvalidArgument, PluginError
+from sysid_evo.errors import InvalidArgument
 from sysid_evo.models.dynamics import rk4
 from sysid_evo.models.kernels import Predictor, polynomial_predictor, runge_kutta_predictor
 from sysid_evo.models.kernels.shells import SeenRow, of_functions
@@ -83,6 +83,8 @@ class PySindy(DynamicsModel):
                 raise InvalidArgument(f"pysindy: the fit of {type(peer).__name__} failed: {error}") from error
         elif not hasattr(peer.optimizer, "coef_"):
             raise InvalidArgument(f"pysindy: expected a fitted {type(peer).__name__}; without fitted=True it is fitted")
+        if np.ndim(peer.optimizer.coef_) == 1:  # a regressor of scikit-learn, of one state
+            peer.optimizer.coef_ = np.atleast_2d(peer.optimizer.coef_)
         self.coefficients_ = np.ascontiguousarray(np.asarray(peer.optimizer.coef_, dtype=np.float64).T)
         self.seen_ = system.nx + int(peer.n_control_features_)
         if self.coefficients_.shape[1] != system.nx or self.seen_ not in (system.nx, system.nx + system.nu):
@@ -114,10 +116,7 @@ class PySindy(DynamicsModel):
     def learned_arrays(self) -> Mapping[str, Declared]:
         nx, nu, functions = self.system.nx, self.system.nu, len(getattr(self, "functions_", []))
         if self._basis is None and "_library" not in vars(self):
-            try:
-                kept_object(self.model)
-            except InvalidArgument as error:  # the object is not in this process
-                raise PluginError(str(error)) from error
+            kept_object(self.model)
         else:
             plain_features(self.system, tuple(getattr(self, "functions_", ())))
         return {

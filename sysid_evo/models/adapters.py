@@ -71,7 +71,8 @@ def as_model(thing: object, *, fitted: bool = False) -> DynamicsModel:
         line = ", ".join(["'narx'", *(str(adapters.glance(name, "example")) for name in adapters.names())])
         raise InvalidArgument(
             f"expected the name of a family, or an object of a kind that an adapter recognises "
-            f"({', '.join(adapters.names())}), got {got}. This works: models=[{line}]"
+            f"({', '.join(adapters.names())}), got {got}. This works: models=[{line}]. A callable is passed as "
+            "lambda x, u: thing(x, u); anything else becomes a family, see sysid-evo plugin new"
         )
     return adapter.model(thing, fitted=fitted)
 

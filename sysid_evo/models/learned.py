@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from sysid_evo.errors import ShapeError
+from sysid_evo.errors import InvalidArgument, PluginError, ShapeError
 
 Length: TypeAlias = int | str
 """A number, or a name: the same length, at least 1, everywhere in the declaration of a model."""
@@ -78,6 +78,8 @@ def check_learned(model: object) -> list[str]:
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         if isinstance(error, ShapeError):
             raise
+        if isinstance(error, InvalidArgument):  # an object or a plugin file of another process
+            raise PluginError(str(error)) from error
         raise ShapeError(f"its learned arrays do not fit together: {type(error).__name__}: {error}") from error
     others = []
     for name in vars(model).keys() - declared.keys():

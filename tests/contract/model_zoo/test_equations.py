@@ -19,6 +19,7 @@ from sysid_evo.registry.plugins import PREFIX
 from tests.fixtures.plants import pendulum
 
 STIFFNESS, FRICTION, GAIN = 9.0, 0.5, 2.0
+DRAWN = np.random.default_rng(0)
 
 
 @pytest.fixture(scope="module")
@@ -98,12 +99,35 @@ def test_parameters_are_fitted_within_the_bounds_that_p_gives(function, swinging
         (lambda x, u, p=(): x, InvalidArgument, r"parameters as the default of p, got \(\)"),
         (lambda x, u, p=(3,): x, InvalidArgument, r"expected a Parameter or \(name, low, high\), got 3"),
         (lambda x, u: x[:1], IncompatibleSystem, r"returns 2 numbers; got ValueError: 1 numbers for 2 states"),
-        (lambda x, u: x + np.nan, InvalidArgument, "expected finite numbers at the recorded states"),
+        (
+            lambda x, u: np.where(x > 1.0, np.nan, x),
+            InvalidArgument,
+            r"expected finite numbers at the recorded states, got .*nan",
+        ),
+        (lambda x, u: x + DRAWN.random(), InvalidArgument, "must neither draw random numbers nor keep values"),
     ],
 )
 def test_a_function_that_cannot_be_used_is_refused_with_an_example(function, error, message, swinging):
     with pytest.raises(error, match=message):
         make_model("equations", function=keep_object(function)).fit(swinging, rng=0)
+
+
+def writing(x, u):
+    x[:] = x[1], -STIFFNESS * np.sin(x[0]) - FRICTION * x[1] + GAIN * u[0]
+    return x
+
+
+def test_a_function_may_write_into_its_arguments(swinging):
+    found, expected = (as_model(one).fit(swinging, rng=0) for one in (writing, of_a_sample))
+    run = swinging.episodes[0]
+    np.testing.assert_allclose(found.simulate(run), expected.simulate(run), rtol=1e-9)
+
+
+def test_a_function_of_another_process_is_missed_by_its_name(swinging, tmp_path, monkeypatch):
+    save_model(as_model(of_a_sample).fit(swinging, rng=0), tmp_path / "model")
+    monkeypatch.setattr("sysid_evo.registry.objects._objects", {})
+    with pytest.raises(ArtefactError, match=r"model.json: <Python object of_a_sample \w+> was given in Python"):
+        load_model(tmp_path / "model")
 
 
 FILE = "import numpy as np\n\n\ndef swing(x, u):\n    return [x[1], -5.0 * np.sin(x[0]) - {} * x[1] + u[0]]\n"

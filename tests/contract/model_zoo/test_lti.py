@@ -98,6 +98,8 @@ def test_a_linear_system_keeps_the_contract(thing, whole, output):
     [
         (control.ss(A, B, np.eye(2), [[0.0], [1.0]]), InvalidArgument, r"expected D = 0: a recorded state cannot"),
         (WHOLE.sample(0.1, "zoh"), InvalidArgument, r"continuous system or dt=0.05 s, as recorded; got dt=0.1 s"),
+        (control.nlsys(lambda _t, x, _u, _p: -x, states=2), InvalidArgument, r"pass lambda x, u: system\.dynamics"),
+        (control.frd(SEEN, [1.0, 2.0]), InvalidArgument, "pass 'linear_state_space', which is fitted"),
         (SEEN, IncompatibleSystem, r"expected 2 outputs, the states position, speed, .*; got 1 and 1"),
     ],
 )

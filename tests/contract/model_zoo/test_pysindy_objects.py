@@ -97,6 +97,8 @@ def test_what_cannot_be_stepped_is_refused_with_the_reason(swinging):
     spatial = ps.PDELibrary(function_library=ps.PolynomialLibrary(1))
     with pytest.raises(InvalidArgument, match="PDELibrary is not supported: there are no spatial derivatives"):
         as_model(ps.SINDy(feature_library=spatial)).fit(swinging, rng=0)
+    with pytest.raises(InvalidArgument, match=r"expected a SINDy, .*SINDy\(optimizer=STLSQ\(\.\.\.\)\)"):
+        as_model(ps.STLSQ())
     with pytest.raises(InvalidArgument, match="expected a fitted SINDy; without fitted=True it is fitted"):
         as_model(ps.SINDy(), fitted=True).fit(swinging, rng=0)
     alone = ps.SINDy(optimizer=ps.STLSQ(threshold=0.0)).fit(swinging.episodes[0].states[:, :1], t=0.05)

@@ -16,8 +16,9 @@ from sklearn.ensemble import (
     RandomForestRegressor,
     StackingRegressor,
 )
-from sklearn.linear_model import LinearRegression, Ridge
+from sklearn.linear_model import LinearRegression, MultiTaskLasso, Ridge
 from sklearn.model_selection import GridSearchCV
+from sklearn.multioutput import MultiOutputRegressor, RegressorChain
 from sklearn.neighbors import KNeighborsRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer, StandardScaler
@@ -30,7 +31,7 @@ from model_zoo.regressor import Regressor
 from sysid_evo import as_model, load_model, make_model, save_model
 from sysid_evo.errors import ArtefactError, InvalidArgument, MissingExtra, UnknownName, UnknownParameter
 from sysid_evo.models.adapters import as_spec
-from tests.fixtures.systems import chain
+from tests.fixtures.systems import ONE_STATE, chain
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
@@ -235,11 +236,36 @@ def test_a_bag_of_trees_with_some_of_the_inputs_each_is_read(rng):
 
 def test_what_cannot_be_stored_is_refused_after_the_fit_with_what_to_do(throttle_car_data):
     with pytest.raises(InvalidArgument, match=r"KDTree is not among the trusted types\. algorithm='brute' avoids it"):
-        Regressor(estimator="KNeighborsRegressor", **NO_LAGS).fit(throttle_car_data)
-    Regressor(estimator=KNeighborsRegressor(algorithm="brute"), **NO_LAGS).fit(throttle_car_data)
+        Regressor(estimator=KNeighborsRegressor(algorithm="kd_tree"), **NO_LAGS).fit(throttle_car_data)
+    Regressor(estimator=KNeighborsRegressor(), **NO_LAGS).fit(throttle_car_data)
+    inside = make_pipeline(StandardScaler(), GridSearchCV(Ridge(), {"alpha": [1.0, 2.0]}, cv=2))
+    with pytest.raises(InvalidArgument, match=r"GridSearchCV\(make_pipeline\(\.\.\.\), .*avoids it"):
+        Regressor(estimator=inside, **NO_LAGS).fit(throttle_car_data)
     own = make_pipeline(FunctionTransformer(written), Ridge())
     with pytest.raises(InvalidArgument, match=r"cannot be|estimators\.written is not among the trusted types"):
         Regressor(estimator=own, **NO_LAGS).fit(throttle_car_data)
+
+
+@pytest.mark.parametrize(
+    "estimator", [MultiOutputRegressor(Ridge()), RegressorChain(Ridge()), make_pipeline(MultiTaskLasso(alpha=1e-3))]
+)
+def test_regressors_of_several_outputs_are_fitted_to_a_single_state(estimator):
+    data = ONE_STATE.recording()
+    assert Regressor(estimator=estimator, **NO_LAGS).fit(data).score(data) > -1.0
+
+
+def test_boosters_take_all_parameters_of_their_packages(throttle_car_data, tmp_path):
+    xgboost, lightgbm = pytest.importorskip("xgboost"), pytest.importorskip("lightgbm")
+    run = throttle_car_data.episodes[0]
+    for given in (
+        xgboost.XGBRegressor(n_estimators=3, booster="gblinear"),
+        xgboost.XGBRegressor(n_estimators=3, booster="dart", rate_drop=0.3),
+        xgboost.XGBRFRegressor(n_estimators=3),
+        lightgbm.LGBMRegressor(n_estimators=3, linear_tree=True),
+    ):
+        model = as_model(given).set_params(**NO_LAGS).fit(throttle_car_data, rng=0)
+        found = load_model(save_model(model, tmp_path / "model"))
+        assert np.array_equal(found.simulate(run), model.simulate(run))
 
 
 def test_wrong_names_and_settings_are_refused_before_the_fit(monkeypatch):

@@ -108,7 +108,55 @@ def test_a_module_from_python_is_needed_again(swinging, tmp_path, monkeypatch):
 
 
 def test_a_module_of_other_sizes_is_refused(swinging):
-    expected = re.escape("expected forward(x, u) that turns (B, 2) and (B, 1) into (B, 2), got ")
+    expected = re.escape("expected forward(x, u) that turns (B, 2) and (B, 1) into (B, 2), in float64, got ")
     for module in (torch.nn.Linear(3, 1), torch.nn.Linear(5, 2)):
         with pytest.raises(IncompatibleSystem, match=expected):
             as_model(module).fit(swinging, rng=0)
+
+
+class Remembering(Physics):
+    """It adds the number of its calls."""
+
+    calls = 0
+
+    def forward(self, x, u):
+        self.calls += 1
+        return super().forward(x, u) + self.calls
+
+
+class WithExtras(Physics):
+    """It returns more than its outputs."""
+
+    def forward(self, x, u):
+        return super().forward(x, u), None
+
+
+@pytest.mark.parametrize(
+    ("module", "message"),
+    [
+        (Remembering(), "other outputs for the same inputs: it must neither keep a state nor draw"),
+        (WithExtras(), "got a tuple"),
+        (torch.nn.GRU(3, 2), "got a tuple"),
+    ],
+)
+def test_a_module_with_a_memory_or_with_several_outputs_is_refused(module, message, swinging):
+    with pytest.raises(IncompatibleSystem, match=message):
+        as_model(module).fit(swinging, rng=0)
+
+
+@pytest.mark.filterwarnings("ignore:.*torch.jit:DeprecationWarning")
+def test_compiled_and_scripted_modules_are_trained_as_the_module_itself(swinging):
+    for inner, given in (
+        (module := Physics(), torch.compile(module)),
+        (module, torch.jit.script(module)),
+        (layer := torch.nn.Linear(3, 2), torch.jit.script(layer)),
+    ):
+        expected, found = (as_model(one).set_params(**SHORT).fit(swinging, rng=0) for one in (inner, given))
+        np.testing.assert_allclose(found.weights_[0], expected.weights_[0], rtol=1e-9)
+
+
+def test_a_module_without_trainable_weights_is_used_as_it_is(swinging):
+    module = torch.nn.Linear(3, 2).requires_grad_(False)
+    model = as_model(module).fit(swinging, rng=0)
+    assert model.fit_note == "used as it is"
+    assert np.array_equal(model.weights_[0], module.weight.double().numpy())
