@@ -50,6 +50,7 @@ def pysindy_default() -> Any:
 MODELS: Mapping[str, str | Callable[[], Any]] = {
     "pysindy": pysindy_default,
     "sysidentpy": "sysidentpy_frols",
+    "sysidentpy_narx": "sysidentpy_narx",
     "nfoursid": "nfoursid",
     "pydmd": "pydmd_dmdc",
     "deepsi": "deepsi_subnet",

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import Any, ClassVar, Self
 
@@ -39,25 +39,30 @@ class SysIdentPyFrols(DynamicsModel):
     control_lags: int | None = 1
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        from sysidentpy.basis_function import Polynomial
-        from sysidentpy.model_structure_selection import FROLS
-
         (nx, nu), (states, before) = (dataset.system.nx, dataset.system.nu), joined(dataset)
         channels = np.concatenate([states, np.concatenate([before[1:], before[-1:]])], axis=1)
         late = [*range(nx, 2 * nx), *range(2 * nx, 2 * nx + nu)]  # places in carry and control, one step before
         places = np.array([[*range(nx), *range(2 * nx + nu, 2 * (nx + nu))], late])
         lags: Any = [[1, 2]] * (nx - 1 + nu) if nx - 1 + nu > 1 else [1, 2]
-        most, powers, weights = min(20, math.comb(2 * (nx + nu) + 2, 2)), list[Array](), list[Array]()
+        powers, weights = list[Array](), list[Array]()
         for i in range(nx):
-            model = FROLS(n_info_values=most, ylag=2, xlag=lags, basis_function=Polynomial(degree=2), **frols_example())
             order = [i, *(j for j in range(nx + nu) if j != i)]
-            model.fit(X=channels[:, order[1:]], y=channels[:, [i]])
-            for codes, weight in zip(model.final_model, np.ravel(model.theta), strict=True):
+            for codes, weight in self.terms(channels[:, order[1:]], channels[:, [i]], lags):
                 used = [places[code % 1000 - 1, order[code // 1000 - 1]] for code in codes[codes > 0]]
                 powers.append(np.bincount(np.array(used, dtype=np.int64), minlength=2 * (nx + nu)))
                 weights.append(weight * np.eye(nx)[i])
         self.powers_, self.coefficients_ = np.array(powers), np.array(weights)
         return self
+
+    def terms(self, x: Array, y: Array, lags: Any) -> Iterable[tuple[Array, float]]:
+        """Return the codes of SysIdentPy and the weight of each term for the next of ``y`` (T, 1), of inputs (T, n)."""
+        from sysidentpy.basis_function import Polynomial
+        from sysidentpy.model_structure_selection import FROLS
+
+        most = min(20, math.comb(2 * (x.shape[1] + 1) + 2, 2))
+        model = FROLS(n_info_values=most, ylag=2, xlag=lags, basis_function=Polynomial(degree=2), **frols_example())
+        model.fit(X=x, y=y)
+        return zip(model.final_model, np.ravel(model.theta), strict=True)
 
     def next_state(self, carry: Array, control: Array) -> Array:
         return np.prod(np.concatenate([carry, control], axis=1)[:, None] ** self.powers_, axis=2) @ self.coefficients_
@@ -71,6 +76,21 @@ def frols_example() -> dict[str, Any]:
     from sysidentpy.parameter_estimation import LeastSquares
 
     return {"order_selection": True, "info_criteria": "aic", "estimator": LeastSquares(), "err_tol": None}
+
+
+@register_model("sysidentpy_narx")
+class SysIdentPyNarx(SysIdentPyFrols):
+    """SysIdentPy: its general NARX with Bayesian ridge regression, on all terms, as in "General NARX models"."""
+
+    def terms(self, x: Array, y: Array, lags: Any) -> Iterable[tuple[Array, float]]:
+        from sklearn.linear_model import BayesianRidge
+        from sysidentpy.basis_function import Polynomial
+        from sysidentpy.general_estimators import NARX
+
+        found = BayesianRidge()
+        model = NARX(base_estimator=found, ylag=2, xlag=lags, basis_function=Polynomial(degree=2)).fit(X=x, y=y)
+        constant = np.zeros_like(model.final_model[0])
+        return [(constant, found.intercept_), *zip(model.final_model, found.coef_, strict=True)]
 
 
 @register_model("pydmd_dmdc")

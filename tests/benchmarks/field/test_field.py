@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from sysid_evo import Dataset, load_model, make_model, save_model
+from sysid_evo.registry.plugins import load_plugin
 from sysid_evo.system import Channel, System
-from tests.benchmarks.field import peers  # noqa: F401  # registers the families
-from tests.benchmarks.field.__main__ import main
+from tests.benchmarks.field.__main__ import PLUGIN, main
 
+load_plugin(PLUGIN)  # as the command does: an import would register the families twice
 SYSTEM = System((Channel("y"),), (Channel("u", low=-1.0, high=1.0),), dt=0.1)
 
 
@@ -29,6 +30,7 @@ def second_order(y, y_before, u, u_before):
 
 RECOVERED = {
     "sysidentpy_frols": ("sysidentpy", lambda y, z, u, v: 0.5 * y + 0.2 * z + 0.3 * u + 0.1 * v * y, 1e-2),
+    "sysidentpy_narx": ("sysidentpy", lambda y, z, u, v: 0.5 * y + 0.2 * z + 0.3 * u + 0.1 * v * y, 1e-2),
     "pydmd_dmdc": ("pydmd", lambda y, z, u, v: 0.9 * y + 0.3 * u, 1e-2),
     "nfoursid": ("nfoursid", second_order, 5e-2),
 }
