@@ -178,7 +178,8 @@ def printable(text: str) -> str:
 def described(error: Exception) -> str:
     """Return class and message of an error, and the line of the plugin that caused it."""
     here = Path(__file__).parent  # this package and the harness are not plugins
-    others = (str(here), str(here.parent / "evaluation"), *map(sysconfig.get_path, ("stdlib", "purelib")), "<")
+    ours = (str(here.parent / name) for name in ("evaluation", "hardware", "model_zoo"))
+    others = (str(here), *ours, *map(sysconfig.get_path, ("stdlib", "purelib")), "<")
     own = [frame for frame in traceback.extract_tb(error.__traceback__) if not frame.filename.startswith(others)]
     where = f" ({Path(own[-1].filename).name}, line {own[-1].lineno}: {own[-1].line})" if own else ""
     return f"{type(error).__name__}: {error}{where}"

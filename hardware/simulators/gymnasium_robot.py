@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -103,8 +103,11 @@ class GymnasiumSimulator(ExternalSimulator):
         what, known = f"robot gymnasium({name})", KNOWN.get(name)
         env = make_environment(name, settings)
         try:
-            given = angle if angle is not None else found_angles(env) if known is None else known.angle
+            found, seen = found_angles(what, env) if known is None else (known.angle, np.empty(0))
+            given = found if angle is None else angle
             observations, states = observation_map(what, env.observation_space, given)
+            if known is None:
+                states = tuple(_reached(*one) for one in zip(states, observations.state(seen).T, strict=True))
             actions = control_channels(what, env.action_space)
             if known is not None and given == known.angle:
                 states, actions = known.states, known.controls
@@ -114,8 +117,8 @@ class GymnasiumSimulator(ExternalSimulator):
                 actions = named_channels(f"{what}: controls", controls, actions)
             step = _dt(env) if dt is None else check_number(f"{what}: dt", dt, above=0.0)
             system = System(states, actions, step, name=name)
-            found = AttributeState() if known is not None else state_setter(name, settings, observations)
-            setter = found if isinstance(found, StateSetter) else None
+            way = AttributeState() if known is not None else state_setter(name, settings, observations)
+            setter = way if isinstance(way, StateSetter) else None
             taken = ActionMap(env.action_space, actions)
             return cls(name, settings, system, observations, taken, setter, settable=setter is not None)
         finally:
@@ -143,10 +146,18 @@ class GymnasiumSession(SimulatorSession):
     def step(self, control: Array) -> tuple[Array, float, bool, bool]:
         action = self._environment.actions.action(control)
         observation, reward, ended, late, _ = self._env.step(action)
-        return self._environment.observations.state(observation), float(reward), bool(ended), bool(late)
+        state = self._environment.observations.state(observation)
+        return state, float(np.asarray(reward).item()), bool(ended), bool(late)
 
     def close(self) -> None:
         self._env.close()
+
+
+def _reached(channel: Channel, values: Array) -> Channel:
+    """Return ``channel`` without limits that some of ``values`` exceed; many a space is narrower than it should be."""
+    slack = 1e-3 * (channel.high - channel.low)
+    inside = not np.any((values < channel.low - slack) | (values > channel.high + slack))
+    return channel if inside or channel.period is not None else replace(channel, low=-np.inf, high=np.inf)
 
 
 USUAL_DT = 0.05

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid_evo.angles import TURN
-from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, described
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks.raw import RawInterface, RawValue
 from sysid_evo.types import Array
@@ -28,10 +28,11 @@ def make_environment(name: str, settings: Mapping[str, Any]) -> gymnasium.Env[An
         return gymnasium.make(name, disable_env_checker=True, **settings)
     except (gymnasium.error.Error, ImportError, TypeError, ValueError) as error:
         reason = str(error).rstrip(".")
-        raise InvalidArgument(
-            f"robot gymnasium: cannot make the environment {name!r}: {reason}. An environment of your own must be "
-            "registered with Gymnasium: name the file that does so with --plugin FILE"
-        ) from error
+        instead = "An environment of your own must be registered with Gymnasium: name the file that does so with "
+        instead += "--plugin FILE"
+        if isinstance(error, TypeError):
+            instead = "Its arguments are given by settings={name: value}"
+        raise InvalidArgument(f"robot gymnasium: cannot make the environment {name!r}: {reason}. {instead}") from error
 
 
 LARGEST = 1e6
@@ -93,9 +94,10 @@ def observation_map(what: str, space: gymnasium.Space[Any], angle: str) -> tuple
     from gymnasium import spaces
 
     if not isinstance(space, spaces.Box) or len(space.shape) != 1 or not 1 <= space.shape[0] <= MOST:
+        fits = space.is_np_flattenable and spaces.flatdim(space) <= MOST
         raise IncompatibleSystem(
-            f"{what}: expected a Box of at most {MOST} observations in a row, got {space}. "
-            "Wrap the environment, for example in gymnasium.wrappers.FlattenObservation, and register that"
+            f"{what}: expected a Box of at most {MOST} observations in a row, got {space}. Wrap the environment, for "
+            f"example in gymnasium.wrappers.{'Flatten' if fits else 'Transform'}Observation, and register that"
         )
     n = int(space.shape[0])
     groups = parse_angles(what, angle, n)
@@ -128,13 +130,13 @@ def control_channels(what: str, space: gymnasium.Space[Any]) -> tuple[Channel, .
         )
     if isinstance(space, spaces.MultiBinary) and len(space.shape) == 1:
         return tuple(_levels(f"control_{i}", 2, 0) for i in range(space.shape[0]))
-    if isinstance(space, spaces.Box) and np.isfinite(space.low).all() and np.isfinite(space.high).all():
+    if isinstance(space, spaces.Box) and 0 not in space.shape and np.isfinite([space.low, space.high]).all():
         low, high = space.low.ravel().tolist(), space.high.ravel().tolist()
         names = ["control"] if len(low) == 1 else [f"control_{i}" for i in range(len(low))]
         return tuple(Channel(name, low=a, high=b) for name, a, b in zip(names, low, high, strict=True))
     raise IncompatibleSystem(
-        f"{what}: expected discrete actions or a Box of them with finite limits, got {space}. "
-        "Wrap the environment, for example in gymnasium.wrappers.RescaleAction, and register that"
+        f"{what}: expected discrete actions or a Box of them with finite limits, got {space}. Wrap the environment, "
+        "for example in gymnasium.wrappers.TransformAction(env, lambda a: a, Box(-1, 1, (1,))), and register that"
     )
 
 
@@ -247,22 +249,40 @@ ON_CIRCLE = 1e-6
 NEAR_ONE = 0.9
 
 
-def found_angles(env: gymnasium.Env[Any, Any]) -> str:
+MOVING_SCALES = ("NormalizeObservation", "NormalizeReward")
+"""Wrappers with scales that change from step to step, so that the same state looks different later."""
+
+
+def found_angles(what: str, env: gymnasium.Env[Any, Any]) -> tuple[str, Array]:
     """Return the pairs of observations that are cosine and sine of an angle, in the form of `parse_angles`.
+
+    Also return the observations (N, n) in which they were found. Raises `IncompatibleSystem` if the spaces cannot be
+    channels, or if the environment cannot be stepped.
 
     The squares of a pair add up to 1 in all steps under random actions, and both change. The cosine is the one that is
     near 1 when episodes begin, as of a joint that begins near 0, else the first of the two.
     """
-    env.action_space.seed(0)
-    begun = [env.reset(seed=0)[0]]
-    later = []
-    for step in range(TRIED_STEPS):
-        observation, _, ended, late, _ = env.step(env.action_space.sample())
-        later.append(observation)
-        if ended or late:
-            begun.append(env.reset(seed=step + 1)[0])
-    if np.ndim(begun[0]) != 1:  # refused by `observation_map` with a sentence
-        return ""
+    observation_map(what, env.observation_space, "")
+    control_channels(what, env.action_space)
+    layer: Any = env
+    while layer is not env.unwrapped:
+        if (name := type(layer).__name__) in MOVING_SCALES:
+            raise IncompatibleSystem(
+                f"{what}: {name} changes its scale from step to step: register the environment without it, since "
+                "models scale by themselves"
+            )
+        layer = layer.env
+    try:
+        env.action_space.seed(0)
+        begun = [env.reset(seed=0)[0]]
+        later = []
+        for step in range(TRIED_STEPS):
+            observation, _, ended, late, _ = env.step(env.action_space.sample())
+            later.append(observation)
+            if ended or late:
+                begun.append(env.reset(seed=step + 1)[0])
+    except Exception as error:  # an environment may fail in any way
+        raise IncompatibleSystem(f"{what}: it cannot be reset and stepped: {described(error)}") from error
     first_values, values = np.mean(begun, axis=0), np.array([*begun, *later], dtype=np.float64)
     free = [i for i in range(values.shape[1]) if np.ptp(values[:, i]) > ON_CIRCLE]
     pairs = []
@@ -274,4 +294,4 @@ def found_angles(env: gymnasium.Env[Any, Any]) -> str:
                 cosine, sine = (other, one) if first_values[other] > NEAR_ONE else (one, other)
                 pairs.append(f"{cosine},{sine}")
                 break
-    return "; ".join(pairs)
+    return "; ".join(pairs), values

@@ -124,7 +124,9 @@ def random_steps(
     for step in range(1, count + 1):
         before, inside, action = observations.state(observation), _inside(env), env.action_space.sample()
         observation, reward, ended, late, _ = env.step(action)
-        yield RandomStep(before, action, observations.state(observation), float(reward), bool(ended), inside)
+        yield RandomStep(
+            before, action, observations.state(observation), float(np.asarray(reward).item()), bool(ended), inside
+        )
         if ended or late or (longest is not None and step % longest == 0):
             observation, _ = env.reset(seed=int(rng.integers(2**31)))
 

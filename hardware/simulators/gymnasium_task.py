@@ -365,7 +365,7 @@ class TriedEnvironment:
             env.reset(seed=0)
             self.setter.put(env, state)
             _, reward, over[i], _, _ = env.step(actions.action(values))
-            rewards[i] = float(reward)
+            rewards[i] = np.asarray(reward).item()
         return np.where(rewards >= least, rewards, least), over
 
     def initial_states(self, seeds: tuple[int, ...]) -> Array:
@@ -382,10 +382,11 @@ class TriedEnvironment:
 @lru_cache(maxsize=32)
 def _tried(name: str, angle: str | None, settings: KeptSettings) -> TriedEnvironment:
     env = make_environment(name, settings.values)
-    angle = found_angles(env) if angle is None else angle
+    angle = found_angles(f"task environment: {name}", env)[0] if angle is None else angle
     observations, channels = observation_map(f"task environment: {name}", env.observation_space, angle)
     steps = list(random_steps(env, observations, TRIED))
-    rewards, states = [one.reward for one in steps], np.array([one.before for one in steps])
+    rewards = [one.reward for one in steps if np.isfinite(one.reward)] or [0.0]
+    states = np.array([one.before for one in steps])
     spread = np.ptp(states, axis=0)
     horizon = LONGEST if env.spec is None or env.spec.max_episode_steps is None else env.spec.max_episode_steps
     least = min(rewards) - 0.1 * (max(rewards) - min(rewards))

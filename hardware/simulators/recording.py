@@ -33,15 +33,15 @@ def record_simulator(simulator: ExternalSimulator, duration: float, job: Recordi
 
     An eighth of the time is used for each of steps of three lengths, sine sweeps, and four times random feedback. When
     an episode ends, because it is over or its time is up, the next begins with a reset of the simulator. The same seed
-    gives the same recording. Raises `InvalidArgument` if it is too short, `InvalidData` if the simulator returns
-    numbers that are not finite or ends every episode at once.
+    gives the same recording. A step whose numbers are not finite is left out and ends the episode. Raises
+    `InvalidArgument` if it is too short, `InvalidData` if the simulator ends every episode at once.
     """
     system, stop = simulator.system, job.stop
     each = samples_each(simulator, duration)
     rng = np.random.default_rng(job.seed)
     episodes: list[Trajectory] = []
     tried: list[tuple[int, Array]] = []
-    reason, detail = StopReason.SAMPLES, ""
+    reason, detail, done = StopReason.SAMPLES, "", 0
     try:
         with simulator.open() as session:
             for number, name in enumerate(SCRIPTS):
@@ -49,6 +49,7 @@ def record_simulator(simulator: ExternalSimulator, duration: float, job: Recordi
                 counted = _counter(job.progress, number * each, len(SCRIPTS) * each)
                 made = enumerate(_episodes(session, simulator, script, each, rng, counted, stop), start=1)
                 for count, (states, controls, rewards, ending) in made:
+                    done += len(controls)
                     if len(controls) >= SHORTEST:
                         episode = Trajectory(
                             np.array(states),
@@ -64,6 +65,8 @@ def record_simulator(simulator: ExternalSimulator, duration: float, job: Recordi
                     break
     except LinkLost as error:
         reason, detail = stop.reason or StopReason.LINK_LOST, str(error)
+    if reason is StopReason.SAMPLES and done < each * len(SCRIPTS):
+        detail = f"{each * len(SCRIPTS) - done} steps were left out, since their numbers are not finite"
     report = LoopReport(reason, detail, np.zeros(0), np.zeros(0))
     if reason.is_fault and not episodes:
         raise LinkLost(f"{simulator.name}: {report.sentence}; nothing was recorded")
@@ -123,11 +126,13 @@ def _episodes(
             control = system.actuate(script.next(states[-1]))
             with stop.answer(simulator.name):
                 state, reward, over, late = session.step(control)
+            done += 1
+            if not (np.isfinite(state).all() and np.isfinite(reward)):  # the step is not data, all before it is
+                break
             states.append(state)
             controls.append(control)
             rewards.append(reward)
             ended, ending = over or late, ending_of(over, late)
-            done += 1
         lasted = len(controls)
         counted(done)
         yield states, controls, rewards, ending

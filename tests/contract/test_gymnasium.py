@@ -25,7 +25,7 @@ from sysid_evo.testing.examples import pendulum
 from sysid_evo.types import Array
 
 CLASSIC = ("Pendulum-v1", "CartPole-v1", "MountainCar-v0", "MountainCarContinuous-v0", "Acrobot-v1")
-ROTOR, SLIDER = "Rotor-v0", "Slider-v0"
+ROTOR, SLIDER, STRAY = "Rotor-v0", "Slider-v0", "Stray-v0"
 SEEDS = trial_seeds(5, 4)
 FULL = np.zeros((1, 24))
 FULL[0, 9:12], FULL[0, 21:24] = 5.0, 5.0  # the bias drives the outputs of a network to the limit
@@ -151,7 +151,10 @@ def test_the_force_of_the_cart_has_the_sign_of_its_push():
         ({"id": ROTOR, "angle": "1,2; 2"}, InvalidArgument, "occurs in two angles"),
         ({"id": ROTOR, "channels": "speed"}, InvalidArgument, "expected 2 names"),
         ({"id": ROTOR, "dt": 0.0}, InvalidArgument, "dt: expected a number above 0"),
-        ({"id": ROTOR, "settings": {"limit": np.inf}}, IncompatibleSystem, "a Box of them with finite limits"),
+        ({"id": ROTOR, "settings": {"limit": np.inf}}, IncompatibleSystem, "with finite limits.*TransformAction"),
+        ({"id": STRAY}, InvalidArgument, r"argument: 'case'.*are given by settings=\{name: value\}"),
+        ({"id": STRAY, "settings": {"case": "raises"}}, IncompatibleSystem, r"lost its block \(environments.py, line"),
+        ({"id": "Scaled-v0"}, IncompatibleSystem, "NormalizeObservation changes its scale from step to step"),
         ({"id": "FrozenLake-v1"}, IncompatibleSystem, "expected a Box of at most 64 observations in a row"),
     ],
 )
@@ -183,6 +186,18 @@ def test_a_recording_replays_in_the_environment_itself():
 def test_the_same_seed_gives_the_same_recording_and_another_seed_another():
     one, same, other = (recorded("CartPole-v1", 20.0, seed).fingerprint for seed in (1, 1, 2))
     assert one == same != other
+
+
+def test_a_step_without_a_number_ends_the_episode_and_is_left_out():
+    found = GymnasiumRobot(id=STRAY, settings={"case": "nan"}).record(seed=0, duration=90.0)
+    assert all(np.isfinite(episode.rewards).all() for episode in found.dataset)
+    assert "steps were left out, since their numbers are not finite" in found.report.sentence
+
+
+def test_an_environment_may_have_limits_that_it_exceeds_and_rewards_that_are_arrays():
+    assert GymnasiumRobot(id=STRAY, settings={"case": "narrow"}).system.states[0].high == np.inf
+    data = GymnasiumRobot(id=STRAY, settings={"case": "array"}).record(seed=0, duration=90.0).dataset
+    assert data.episodes[0].rewards is not None
 
 
 def test_every_episode_ends_where_the_environment_ends_it(small):
