@@ -130,6 +130,8 @@ def plan_comparison(
     fits = {spec.label: Fit(spec, data, experiment.seed, experiment.preset).cell() for spec in specs}
     predictions: dict[str, Cell[Predict]] = {}
     if experiment.stop_after != "fit":
+        if PERSISTENCE in fits:
+            raise InvalidArgument(_taken(PERSISTENCE, "the prediction of no change"))
         predictions[PERSISTENCE] = Predict(PERSISTENCE, PERSISTENCE, data).cell()
         for label, fit in fits.items():
             predictions[label] = Predict(label, fit.settings.spec.name, data, fit).cell()
@@ -425,6 +427,10 @@ def _baselines(
     return tuple(cells)
 
 
+def _taken(label: str, owner: str) -> str:
+    return f"{owner} is called {label!r}, too: give the model or baseline a name of its own, NAME={label}"
+
+
 def _matrix(
     experiment: Experiment,
     evolution: ControllerEvolution,
@@ -440,6 +446,8 @@ def _matrix(
     reference: bool,
 ) -> PlannedMatrix:
     by_label = {column.label: column for column in models}
+    if robot is not None and robot.label in by_label:
+        raise InvalidArgument(_taken(robot.label, "the robot"))
     columns = models if robot is None else (*models, robot)
     groups: list[tuple[Plant, ...]] = []
     if last is None:
@@ -470,11 +478,9 @@ def _matrix(
         champions = (ChooseRound(last, models, ROUNDS, learned).cell(), *champions)
     champions += baselines
     names = [champion.name for champion in champions]
-    taken = [cell.name for cell in baselines if names.count(cell.name) > 1]
+    taken = [name for name in names if names.count(name) > 1]
     if taken:
-        raise InvalidArgument(
-            f"baselines: another controller is called {taken[0]!r}; give a label of its own, label=NAME"
-        )
+        raise InvalidArgument(_taken(taken[0], "another controller"))
     on_robot = robot_trials(experiment, robot, evolution.task, len(champions), remarks)
     runs = tuple(
         Run(

@@ -74,6 +74,12 @@ def compare(
     dataset, given = data if isinstance(data, Dataset) else None, dict(settings)
     if data is not None and not isinstance(data, Dataset):
         listed = [data] if isinstance(data, (str, Path)) else list(data)
+        odd = next((one for one in listed if not isinstance(one, (str, Path))), None)
+        if odd is not None:
+            raise InvalidArgument(
+                f"data: expected a Dataset or paths of recordings, got {type(odd).__name__}: Dataset(system, runs), "
+                "Dataset.from_arrays and Dataset.from_pandas make a Dataset"
+            )
         given["data"] = tuple(str(Path(path).resolve()) for path in listed)
     models = settings.get("models")
     if models is not None and not isinstance(models, str):

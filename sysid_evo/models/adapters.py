@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
 from sysid_evo.artefacts import strict_json
@@ -116,6 +116,8 @@ def model_texts(given: Sequence[object] | Mapping[str, object]) -> tuple[str, ..
             raise InvalidArgument(f"models: expected names of letters, digits and _, such as my_model, got {odd!r}")
         named = ((label, as_spec(one)) for label, one in given.items())
         return tuple(str(Spec(one.name, one.parameters, label)) for label, one in named)
+    if not isinstance(given, Iterable):
+        raise InvalidArgument(f"models: expected a list or a dict, got an object of the class {class_name(given)}")
     texts = [one if isinstance(one, str) else str(as_spec(one)) for one in given]
     labels = Counter(as_spec(one).label for one in given if not isinstance(one, str))
     repeated = next((label for label, count in labels.items() if count > 1), None)

@@ -191,6 +191,8 @@ def _digest_of(module: str) -> str:
     if file is None:
         return f"no source: {module}"
     path = Path(file)
+    if not path.exists():  # a script that Python reads from its standard input
+        return f"no source: {module}"
     files = sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]
     digest = hashlib.sha256()
     for source in files:

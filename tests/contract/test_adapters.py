@@ -2,6 +2,8 @@
 
 import pickle
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -108,7 +110,17 @@ def test_names_come_from_the_class_or_from_a_dict():
         model_texts([Gain(0.1), Gain(0.2)])
 
 
+def test_a_function_of_a_script_from_standard_input_has_a_text():
+    script = "from sysid_evo import as_model\ndef mine(x, u):\n    return -x\nprint(as_model(mine))"
+    done = subprocess.run([sys.executable, "-"], input=script, capture_output=True, text=True, check=False)
+    assert "<Python object mine " in done.stdout, done.stderr
+
+
 def test_a_refused_object_is_named_with_a_line_that_works():
+    with pytest.raises(InvalidArgument, match=r"data: expected a Dataset or paths of recordings, got Gain: Dataset\("):
+        compare([Gain(0.1)])
+    with pytest.raises(InvalidArgument, match="expected a list or a dict, got an object of the class Gain"):
+        model_texts(Gain(0.1))
     with pytest.raises(InvalidArgument, match=r"got an object of the class array.*models=\['narx', .*Gain\(0.1\)"):
         as_model(__import__("array").array("d"))
     with pytest.raises(InvalidArgument, match=r"got the class Gain: an object is Gain\(\)"):

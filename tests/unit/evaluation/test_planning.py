@@ -132,6 +132,13 @@ def test_a_report_is_called_after_its_models_if_they_are_few(count, title):
         ({"baselines": ("predictive(model=linear, horizon=0)",)}, InvalidArgument, "expected horizon"),
         ({"baselines": ("pursuit", "pursuit")}, InvalidArgument, "'pursuit' is given 2 times"),
         ({"baselines": ("linear=pursuit",)}, InvalidArgument, "another controller is called 'linear'"),
+        ({"models": ("persistence=linear",)}, InvalidArgument, "the prediction of no change is called 'persistence'"),
+        ({"models": ("polished=linear", "narx")}, InvalidArgument, "another controller is called 'polished'"),
+        (
+            {"models": ("made_up_robot=linear",), "robot": "made_up_robot"},
+            InvalidArgument,
+            "the robot is called 'made_up_robot', too: give the model or baseline a name of its own",
+        ),
         (
             {"baselines": ("pursuit",), "stop_after": "fit"},
             InvalidArgument,
