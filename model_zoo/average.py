@@ -31,8 +31,8 @@ class Average(MeanModel):
     `auto`. The mean of next states equals the mean of accelerations, because the next state is affine in the
     acceleration. Every member starts each step from the mean state and keeps its own earlier samples.
 
-    With ``stochastic``, every step adds normal noise: the members' disagreement and the one-step residual on three
-    held-out blocks, scaled so that 90 % intervals contain 90 % of the held-out samples after one second.
+    With ``stochastic``, every step adds normal noise: the members' disagreement and the one-step residual, scaled as in
+    `StochasticModel` on up to three held-out conditions, recordings or blocks of time.
     """
 
     knowledge = "grey"
@@ -40,7 +40,6 @@ class Average(MeanModel):
     presets: ClassVar[dict[str, dict[str, Any]]] = {}
 
     families: list[Any] | None = None
-    stochastic: bool = False
     dead_band: bool = False
     max_steps: int | None = 100_000
 
@@ -70,7 +69,7 @@ class Average(MeanModel):
         self._hold(fitted(dataset))
         if self.stochastic:
             means = [(self.of(parts, self.weights_), held) for parts, held in ((fitted(a), b) for a, b in pairs)]
-            self.calibrate(means, rng, lambda: counter.advance(0))
+            self.spread_on(means, rng, lambda: counter.advance(0))
         return self
 
     @classmethod

@@ -99,13 +99,15 @@ COVERAGE_TOLERANCE = 0.05
 class Coverage:
     """Share of measured states in a model's prediction intervals, ``horizon`` steps after a measured start.
 
-    ``inside`` (nx,) is the share for each channel, over ``samples`` targets; ``share`` is the nominal coverage.
+    ``inside`` (nx,) is the share for each channel, over ``samples`` targets, and ``width`` (nx,) the mean width of the
+    intervals, in standard deviations of the measurement; ``share`` is the nominal coverage.
     """
 
     horizon: int
     samples: int
     share: float
     inside: Array
+    width: Array
 
     @property
     def mean(self) -> float:
@@ -149,13 +151,14 @@ class ConditionError:
     """N of one family in the test part of one ``condition``, ``horizon`` steps after measured starts.
 
     ``within``: fitted to recordings of that condition, too; ``across``: fitted to the others alone. None without test
-    or training data.
+    or training data. ``covered`` is the mean coverage of the intervals of the latter, None without intervals.
     """
 
     condition: str
     horizon: int
     within: float | None
     across: float | None
+    covered: float | None
 
 
 @dataclass(frozen=True, repr=False)

@@ -243,19 +243,23 @@ def interval_coverage(model: DynamicsModel, cases: MeasuredCases) -> tuple[Cover
     windows = cases.windows
     few = evenly_spaced(len(windows), MOST_WINDOWS)
     batches = np.array_split(few, -(-len(few) // BATCH))
-    held = np.concatenate([_held(model, cases, rows) for rows in batches], axis=1)
+    held, width = (
+        np.concatenate(parts, axis=1)
+        for parts in zip(*(_intervals(model, cases, rows) for rows in batches), strict=True)
+    )
     found = []
     for place, horizon in enumerate(cases.horizons):
         rows = cases.moving[few, horizon - 1]
         if rows.any():
-            found.append(Coverage(horizon, int(rows.sum()), SHARE, held[place][rows].mean(axis=0)))
+            inside, wide = held[place][rows].mean(axis=0), width[place][rows].mean(axis=0) / cases.scale
+            found.append(Coverage(horizon, int(rows.sum()), SHARE, inside, wide))
     return tuple(found)
 
 
-def _held(model: DynamicsModel, cases: MeasuredCases, rows: IntArray) -> Array:
-    """Return whether each target is inside the interval, (horizons, N, nx), for the windows ``rows``."""
+def _intervals(model: DynamicsModel, cases: MeasuredCases, rows: IntArray) -> tuple[Array, Array]:
+    """Return whether each target is inside the interval, and its width, (horizons, N, nx), for the windows ``rows``."""
     windows = cases.windows[rows]
-    past_states, past_controls = cases.history(model.n_lags)
+    past_states, past_controls = cases.history(model.n_lags + model.n_recent)
     drawn = model.simulate(
         past_states[rows],
         past_controls[rows],
@@ -266,7 +270,8 @@ def _held(model: DynamicsModel, cases: MeasuredCases, rows: IntArray) -> Array:
     ends = [horizon - 1 for horizon in cases.horizons]
     low, high = np.quantile(drawn[:, :, ends], [0.5 - SHARE / 2, 0.5 + SHARE / 2], axis=0, method="weibull")
     truth = cases.system.unwrap_towards(windows.states[:, ends], 0.5 * (low + high))
-    return ((truth >= low) & (truth <= high)).transpose(1, 0, 2).astype(np.float64)
+    inside = ((truth >= low) & (truth <= high)).astype(np.float64)
+    return inside.transpose(1, 0, 2), (high - low).transpose(1, 0, 2)
 
 
 def episode_errors(cases: MeasuredCases, windows: Array, free_runs: Sequence[Array]) -> tuple[EpisodeError, ...]:
@@ -326,20 +331,23 @@ def condition_errors(
     for condition in test.conditions:
         here = test.of_condition(condition)
         others = [episode for episode in training if episode.condition != condition]
-        within = _error(model, training, here, protocol, horizon)
-        across = None
+        within, across = _score_at(model, training, here, protocol, horizon), None
         if others and within is not None:
             rest = training.with_episodes(others)
-            across = _error(learn(rest), rest, here, protocol, horizon)
-        found.append(ConditionError(condition, horizon, within, across))
+            across = _score_at(learn(rest), rest, here, protocol, horizon)
+        (own, _), (other, covered) = (scored or (None, None) for scored in (within, across))
+        found.append(ConditionError(condition, horizon, own, other, covered))
     return tuple(found)
 
 
-def _error(
+def _score_at(
     model: DynamicsModel, training: Dataset, test: Dataset, protocol: PredictionProtocol, horizon: int
-) -> float | None:
+) -> tuple[float, float | None] | None:
+    """Return N and the coverage of the intervals, None without any, at ``horizon``; None without test data."""
     try:
-        score = score_model("", model, measured_cases(training, test, protocol), family="").score(horizon)
+        scores = score_model("", model, measured_cases(training, test, protocol), family="")
     except InvalidData:
         return None
-    return None if score is None else score.n
+    if (score := scores.score(horizon)) is None:
+        return None
+    return score.n, next((held.mean for held in scores.coverage if held.horizon == horizon), None)

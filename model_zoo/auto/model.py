@@ -58,8 +58,7 @@ class Auto(MeanModel):
     processors.
 
     With ``stochastic``, every step adds normal noise: the members' disagreement and the held-out one-step residual,
-    scaled so that 90 % intervals contain 90 % of the held-out samples after one second. Such a model has no compiled
-    form.
+    scaled as in `StochasticModel`. Such a model has no compiled form.
     """
 
     knowledge = "grey"
@@ -80,7 +79,6 @@ class Auto(MeanModel):
     class_cutoff: float = 1.4
     horizons: list[int] | None = None
     folds: int = 3
-    stochastic: bool = False
     dead_band: bool = False
     max_steps: int | None = 100_000
 
@@ -109,7 +107,7 @@ class Auto(MeanModel):
         nothing_held_out = any(seen is held for seen, held in pairs)
         self.held_out_error_ = None if nothing_held_out else held_out_error(cases)
         if self.stochastic:
-            self.calibrate(cases, rng, work.report_alive)
+            self.spread_on(cases, rng, work.report_alive)
         return self
 
     def _tried(self, dataset: Dataset) -> tuple[list[Candidate], list[str]]:

@@ -22,7 +22,8 @@ class Dynamics(ABC):
 
     The *carry* (B, n_carry) is the state, ``carry[:, :nx]``, followed by all other memory.
 
-    - ``n_lags``: samples of history before the present one that `start` needs.
+    - ``n_lags``: samples of history before the present one that `start` needs; ``n_recent``: earlier ones that it uses
+      if it gets them, too.
     - ``n_noise``, ``n_draws``: standard normal numbers that the caller passes to every `step` and to `start`; random
       numbers are never drawn inside.
     - ``observed_at``: index in the carry of the state that controllers and tasks observe: 0, unless a wrapper adds an
@@ -44,9 +45,11 @@ class Dynamics(ABC):
         def n_noise(self) -> int: ...
         @property
         def n_draws(self) -> int: ...
+        @property
+        def n_recent(self) -> int: ...
 
     else:
-        n_lags = n_noise = n_draws = 0
+        n_lags = n_noise = n_draws = n_recent = 0
 
     @property
     def state_bounds(self) -> Array | None:
@@ -210,7 +213,7 @@ def many_runs(
     if past_controls is None:
         past_controls = np.tile(system.neutral_control, (len(states), states.shape[1] - 1, 1))
     past_controls = check_shape("past_controls", past_controls, (len(states), states.shape[1] - 1, system.nu))
-    states, past_controls = latest(states, past_controls, model.n_lags, system.neutral_control)
+    states, past_controls = latest(states, past_controls, model.n_lags + model.n_recent, system.neutral_control)
     if samples is not None:
         states, past_controls, controls = (np.tile(a, (samples, 1, 1)) for a in (states, past_controls, controls))
     batch, horizon = controls.shape[:2]

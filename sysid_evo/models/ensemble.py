@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Self
 
@@ -15,10 +15,9 @@ from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models.base import DynamicsModel
 from sysid_evo.models.dynamics import Dynamics
 from sysid_evo.models.kernels.ensemble import mean_kernel
-from sysid_evo.models.learned import Declared, Numbers
+from sysid_evo.models.learned import Declared
+from sysid_evo.models.stochastic import StochasticModel
 from sysid_evo.types import Array
-from sysid_evo.validation.intervals import conformal_scale
-from sysid_evo.validation.simulation_error import error_windows
 
 
 class Members:
@@ -73,16 +72,15 @@ def _places(sizes: list[int]) -> list[int]:
     return [sum(sizes[:i]) for i in range(len(sizes))]
 
 
-class MeanModel(DynamicsModel):
+class MeanModel(StochasticModel):
     """A family that learns fitted models ``members_`` and their ``weights_`` (M,), whose sum is 1.
 
     The next state is the weighted mean of theirs. The carry is the state, then the members' carries, each of which
-    begins with the same state. With ``stochastic``, ``residual_`` (nx,) and ``noise_scale_`` (nx,) define the noise of
-    a step. A ``dead_band`` applies to the mean, not to the members, and only if no member has an earlier control that
-    may still act.
+    begins with the same state. With ``stochastic``, members draw no noise of their own, and the deviation of a step is
+    the root of the members' variance plus the squared held-out one-step error. A ``dead_band`` applies to the mean, not
+    to the members, and only if no member has an earlier control that may still act.
     """
 
-    stochastic: bool = False
     dead_band: bool = False
 
     def become(self, models: Sequence[DynamicsModel], weights: Array) -> None:
@@ -91,32 +89,13 @@ class MeanModel(DynamicsModel):
 
     def learned_arrays(self) -> Mapping[str, Declared]:
         Members([self, *self.members_])  # raises if their systems differ
-        nx = self.system.nx
-        noise = {name: Numbers(nx, optional=not self.stochastic) for name in ("residual_", "noise_scale_")}
-        return {"weights_": (len(self.members_),), **noise}
+        return {**super().learned_arrays(), "weights_": (len(self.members_),)}
 
     def of(self, models: Sequence[DynamicsModel], weights: Array) -> Self:
         """Return the mean of ``models``, fitted to the same data, as a model without noise."""
         other = self.variant(stochastic=False)
         other.become(models, weights)
         return other
-
-    def calibrate(
-        self, cases: Sequence[tuple[Self, Dataset]], rng: np.random.Generator, heartbeat: Callable[[], None]
-    ) -> None:
-        """Set the noise of a step from ``cases``, means like this one, each with its held-out data.
-
-        ``residual_`` (nx,) is their error after one step, ``noise_scale_`` (nx,) that of `conformal_scale`.
-        """
-        cases_windows = [(mean, error_windows(held, mean.n_lags)) for mean, held in cases]
-        off = []
-        for mean, part in cases_windows:
-            first = mean.simulate(part.past_states, part.past_controls, part.controls[:, :1])
-            off.append(mean.system.difference(first[:, 0], part.states[:, 0]))
-        self.residual_ = np.sqrt(np.mean(np.concatenate(off) ** 2, axis=0))
-        for mean, _ in cases_windows:
-            mean.residual_ = self.residual_
-        self.noise_scale_ = conformal_scale(cases_windows, rng, heartbeat=heartbeat)
 
     @cached_property
     def _together(self) -> Members:
@@ -134,30 +113,48 @@ class MeanModel(DynamicsModel):
         return self._together.n_lags if hasattr(self, "members_") else 0
 
     @property
-    def n_carry(self) -> int:
+    def n_plain(self) -> int:
         return self.system.nx + self._together.n_carry
 
     @property
     def n_noise(self) -> int:
-        return self._together.n_noise + (self.system.nx if self.stochastic else 0)
+        return super().n_noise if self.timed else self._together.n_noise
 
     @property
     def n_draws(self) -> int:
-        return self._together.n_draws
+        return super().n_draws if self.timed else self._together.n_draws
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
-        draws = np.zeros((len(states), self.n_draws)) if draws is None else draws
-        return np.concatenate([states[:, -1], self._together.start(states, controls, draws)], axis=1)
+        return super().start(states, controls, draws) if self.timed else self._started(states, controls, draws)
+
+    def initial_carry(self, states: Array, controls: Array) -> Array:
+        return self._started(states, controls, None)
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        return super().step(carry, control, noise) if self.timed else self._advanced(carry, control, noise)
+
+    def undisturbed(self, carry: Array, control: Array) -> Array:
+        return self._advanced(carry, control, None)
+
+    def disturbed(self, carry: Array, control: Array, disturbance: Array) -> Array:
+        return self._advanced(carry, control, None, disturbance)
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        return self.undisturbed(carry, control)[:, : self.system.nx]
+
+    def _started(self, states: Array, controls: Array, draws: Array | None) -> Array:
+        draws = np.zeros((len(states), self._together.n_draws)) if draws is None else draws
+        return np.concatenate([states[:, -1], self._together.start(states, controls, draws)], axis=1)
+
+    def _advanced(self, carry: Array, control: Array, noise: Array | None, disturbance: Array | None = None) -> Array:
+        """Return the next carry without the rows of the noise; ``disturbance`` (B, nx) is in deviations."""
         nx, together = self.system.nx, self._together
         predicted, rests = together.step(carry[:, :nx], carry[:, nx:], control, noise)
         weights = self.weights_[:, None, None]
         after = (weights * predicted).sum(axis=0)
-        if self.stochastic and noise is not None:
+        if disturbance is not None:
             variance = (weights * (predicted - after) ** 2).sum(axis=0)
-            deviation = np.sqrt(variance + self.residual_**2)
-            after = after + self.noise_scale_ * deviation * noise[:, together.n_noise :]
+            after = after + np.sqrt(variance + self.residual_**2) * disturbance
         after = self.apply_limits(carry, control, after)
         return np.concatenate([after, together.joined(after, rests)], axis=1)
 

@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from sysid_evo.carry import recent
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models.base import DynamicsModel
@@ -18,7 +19,9 @@ from sysid_evo.validation.folds import recording_or_time_folds
 from sysid_evo.validation.intervals import (
     HORIZONS,
     MAX_WINDOWS,
+    RECENT,
     Case,
+    RecentErrors,
     horizon_scales,
     step_spread,
     usable_horizon,
@@ -31,8 +34,13 @@ class StochasticModel(DynamicsModel):
     Every step adds normal noise to the state: sigma_k (sqrt(1 - p) w + sqrt(p) b) times a deviation, with w new in
     every step and b drawn once for a run, because model errors persist. sigma_k has one value for the first step, which
     includes the noise of the measured start, and one each up to 10, 20 and 60 steps, so that 90 % intervals contain
-    90 % of the targets at all four. It is calibrated on simulations of held-out data: recordings in turn, or blocks of
-    time of a single recording (`horizon_scales`). The deviation is the one-step error by default (`with_deviation`).
+    90 % of the targets at all four. It is calibrated on simulations of held-out data: recordings in turn,
+    or blocks of time of a single recording (`horizon_scales`). The deviation is the one-step error by default
+    (`with_deviation`).
+
+    All noise of a run is multiplied by the error of a simulation of the last 20 measured steps, in units of the usual
+    one on held-out data, if that is above 1 (`RecentErrors`): in another condition intervals are wider. `start` uses
+    ``n_recent`` more samples for it.
     """
 
     calibration_folds: ClassVar[int] = 4
@@ -45,6 +53,15 @@ class StochasticModel(DynamicsModel):
         return self.stochastic and hasattr(self, "horizon_scales_")
 
     @property
+    def n_recent(self) -> int:
+        return RECENT if self.timed and hasattr(self, "usual_errors_") else 0
+
+    @property
+    def n_plain(self) -> int:
+        """Length of the carry without the rows of the noise."""
+        return self.layout.size
+
+    @property
     def n_noise(self) -> int:
         return self.system.nx if self.timed or (self.stochastic and hasattr(self, "noise_scale_")) else 0
 
@@ -54,27 +71,32 @@ class StochasticModel(DynamicsModel):
 
     @property
     def n_carry(self) -> int:
-        return self.layout.size + (self.system.nx + 1 if self.timed else 0)
+        return self.n_plain + (self.system.nx + 2 if self.timed else 0)
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
-        carry = self.initial_carry(states, controls)
+        carry = self.initial_carry(*recent(states, controls, self.n_lags))
         if not self.timed:
             return carry
         lasting = np.zeros((len(carry), self.system.nx)) if draws is None else draws
-        return np.concatenate([carry, lasting, np.zeros((len(carry), 1))], axis=1)
+        count, factor = np.zeros((len(carry), 1)), np.ones((len(carry), 1))
+        if self.n_recent and controls.shape[1] > self.n_lags:
+            factor = RecentErrors.of(self, states, controls).factor(self.usual_errors_)
+        return np.concatenate([carry, lasting, count, factor], axis=1)
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         if not self.timed:
-            return super().step(carry, control) if noise is None else self.disturbed(carry, control, self._one(noise))
-        size, nx = self.layout.size, self.system.nx
-        inner, lasting, count = carry[:, :size], carry[:, size : size + nx], carry[:, size + nx :]
+            return (
+                self.undisturbed(carry, control) if noise is None else self.disturbed(carry, control, self._one(noise))
+            )
+        size, nx = self.n_plain, self.system.nx
+        plain, lasting, count, factor = np.split(carry, [size, size + nx, size + nx + 1], axis=1)
         if noise is None:
-            after = super().step(inner, control)
+            after = self.undisturbed(plain, control)
         else:
             scale = self.horizon_scales_[np.searchsorted(HORIZONS[:-1], count[:, 0], side="right")]
             mixed = np.sqrt(1.0 - self.persistent_) * noise + np.sqrt(self.persistent_) * lasting
-            after = self.disturbed(inner, control, scale * mixed)
-        return np.concatenate([after, lasting, count + 1.0], axis=1)
+            after = self.disturbed(plain, control, factor * scale * mixed)
+        return np.concatenate([after, lasting, count + 1.0, factor], axis=1)
 
     def learned_arrays(self) -> Mapping[str, Declared]:
         nx, timed = self.system.nx, hasattr(self, "horizon_scales_")
@@ -83,13 +105,20 @@ class StochasticModel(DynamicsModel):
             "persistent_": Numbers(nx, least=0, most=1, optional=not timed),
             "horizon_scales_": Numbers(len(HORIZONS), nx, optional=True),
             "noise_scale_": Numbers(nx, optional=True),
+            "usual_errors_": Numbers(RECENT, nx, least=0, optional=True),
         }
 
-    def keep_spread(self, residual: Array, persistent: Array, scales: Array) -> None:
-        """Record the error of one step (nx,), the persistent share (nx,), and the scales of `horizon_scales`."""
+    def keep_spread(self, residual: Array, persistent: Array, scales: Array, usual: Array | None = None) -> None:
+        """Record the error of one step (nx,), the persistent share (nx,), and the scales of `horizon_scales`.
+
+        ``usual`` (20, nx) are the errors of `RecentErrors.usual`; by default the noise has no factor.
+        """
         self.residual_: Array = residual
         self.persistent_: Array = persistent
         self.horizon_scales_: Array = scales
+        self.__dict__.pop("usual_errors_", None)
+        if usual is not None:
+            self.usual_errors_: Array = usual
 
     def keep_one_scale(self, scale: Array) -> None:
         """Record one scale (nx,) for all times, for a family that calibrates it without ``stochastic`` too."""
@@ -101,12 +130,16 @@ class StochasticModel(DynamicsModel):
 
     def record(self, dataset: Dataset) -> None:
         super().record(dataset)
-        for name in ("horizon_scales_", "persistent_", "noise_scale_", "residual_"):
+        for name in ("horizon_scales_", "persistent_", "noise_scale_", "residual_", "usual_errors_"):
             self.__dict__.pop(name, None)
 
     def with_deviation(self, carry: Array, control: Array) -> tuple[Array, Array]:
         """Return the next state (B, nx), and the unit of its noise, (nx,) or (B, nx)."""
         return self.next_state(carry, control), self.residual_
+
+    def undisturbed(self, carry: Array, control: Array) -> Array:
+        """Return the next carry without noise and without its rows."""
+        return super().step(carry, control)
 
     def disturbed(self, carry: Array, control: Array, disturbance: Array) -> Array:
         """Return the next lagged carry, with ``disturbance`` (B, nx), in deviations, added to the state."""
@@ -151,8 +184,11 @@ class StochasticModel(DynamicsModel):
             if not own_deviation:
                 model.residual_ = residual
         cases = [Case.of(model, part, horizon, MAX_WINDOWS // len(models)) for model, part in models]
+        usual = RecentErrors.usual(
+            [RecentErrors.before(case, part) for case, (_, part) in zip(cases, models, strict=True)]
+        )
         scales = horizon_scales(cases, persistent, rng, heartbeat=heartbeat)
-        self.keep_spread(residual, persistent, scales)
+        self.keep_spread(residual, persistent, scales, usual)
 
     @functools.cached_property
     def _stepping_kernel(self) -> DynamicsKernel | None:

@@ -16,10 +16,10 @@ from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 
-from sysid_evo.carry import clip_state, recent
+from sysid_evo.carry import clip_state, pad_history, recent
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.trajectory import Windows, evenly_spaced
-from sysid_evo.types import Array, BoolArray
+from sysid_evo.types import Array, BoolArray, IntArray
 from sysid_evo.validation.folds import recording_folds, time_fold
 from sysid_evo.validation.simulation_error import STRIDE, Fitted, Simulator, error_windows
 
@@ -78,6 +78,76 @@ class Case:
             np.concatenate(part.moving)[begins[cut.episode][:, None] + ahead] if len(cut) else np.empty((0, 0), bool)
         )
         return cls(model, cut, moves)
+
+
+RECENT = 20
+"""Number of measured steps before a start whose errors widen the intervals of the run."""
+MEDIAN_SQUARE = 0.455
+"""The median of the square of a standard normal number."""
+
+
+@dataclass(frozen=True)
+class RecentErrors:
+    """Errors (N, 20, nx) of a simulation of the last 20 measured steps, and the steps (N, 20) since its start.
+
+    The steps are 0, and the error is not used, while the history only repeats its first state under neutral controls:
+    then it was padded, or the robot stands still.
+    """
+
+    errors: Array
+    steps: IntArray
+
+    @classmethod
+    def of(cls, model: NoisySteps, states: Array, controls: Array) -> RecentErrors:
+        """Simulate the end of a history (N, L + 1, nx), (N, L, nu) of 20 samples more than ``model`` needs."""
+        system, lags = model.system, model.n_lags
+        states, controls = recent(states, controls, lags + RECENT)
+        repeated = (states == states[:, :1]).all(axis=2)[:, 1:] & (controls == system.neutral_control).all(axis=2)
+        idle = np.logical_and.accumulate(repeated, axis=1)[:, lags:]
+        errors, steps = np.zeros((len(states), RECENT, system.nx)), np.zeros((len(states), RECENT), dtype=np.int64)
+        nothing, carry = np.zeros((len(states), system.nx)), np.empty(0)
+        with np.errstate(all="ignore"):
+            for k in range(RECENT):
+                measured = model.initial_carry(states[:, k : k + lags + 1], controls[:, k : k + lags])
+                carry = np.where(idle[:, k - 1, None], measured, carry) if k else measured
+                carry = model.disturbed(carry, controls[:, lags + k], nothing)
+                carry = clip_state(carry, model.state_bounds)[0]
+                errors[:, k] = system.difference(states[:, lags + k + 1], carry[:, : system.nx])
+                steps[:, k] = np.where(idle[:, k], 0, (steps[:, k - 1] if k else 0) + 1)
+        return cls(errors, steps)
+
+    @classmethod
+    def before(cls, case: Case, part: Dataset) -> RecentErrors:
+        """Return the errors before the windows of ``case``, which are those of ``part``."""
+        count, idle = case.model.n_lags + RECENT, part.system.neutral_control
+        histories = []
+        for number, start in zip(case.windows.episode, case.windows.start, strict=True):
+            episode, first = part.episodes[number], max(0, start - count)
+            given = episode.states[first : start + 1], episode.controls[first:start]
+            histories.append(pad_history(*given, count, idle))
+        return cls.of(case.model, *(np.stack(arrays) for arrays in zip(*histories, strict=True)))
+
+    @staticmethod
+    def usual(parts: Sequence[RecentErrors]) -> Array:
+        """Return the usual error (20, nx) after each number of steps; it never falls.
+
+        It is the standard deviation of normal errors with the same median square, which a few divergent runs do not
+        change.
+        """
+        errors, steps = (np.concatenate([getattr(part, name) for part in parts]) for name in ("errors", "steps"))
+        found = [errors[steps == k + 1] for k in range(RECENT)]
+        medians = [np.median(each**2, axis=0) if len(each) else np.zeros(errors.shape[2]) for each in found]
+        return np.sqrt(np.maximum.accumulate(np.nan_to_num(medians)) / MEDIAN_SQUARE)
+
+    def factor(self, usual: Array) -> Array:
+        """Return the factor (N, 1) of the noise: the root mean square of error / ``usual`` error, at least 1.
+
+        Steps that were not simulated count as usual ones; so do states without any usual error.
+        """
+        unit = usual[np.maximum(self.steps - 1, 0)]
+        ratios = np.divide(self.errors, unit, out=np.ones_like(self.errors), where=unit > 0)
+        squares = np.where(self.steps[:, :, None] > 0, ratios**2, 1.0).mean(axis=(1, 2))
+        return np.sqrt(np.maximum(np.nan_to_num(squares, nan=1.0), 1.0))[:, None]
 
 
 def usable_horizon(parts: Sequence[Dataset], history: int) -> int:

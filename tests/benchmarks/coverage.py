@@ -4,10 +4,11 @@
     python -m tests.benchmarks.coverage [FAMILY ...] --conditions cars emulated
 
 Every family is fitted with ``stochastic``. For each horizon the share of moving test targets inside the central 90 % of
-100 samples is printed, over all channels and for each, with N of the simulation without noise and the time of the fit.
+100 samples is printed, over all channels and for each, with the mean width of the intervals in standard deviations, N
+of the simulation without noise and the time of the fit.
 By default all families are used that give a spread and fit in seconds. With ``--conditions`` (groups of
 `tests.benchmarks.shift`) each family is fitted in one condition and tested in this and in others, before and after
-adaptation to 30 s of data.
+adaptation to 30 s of data; ``--unadapted`` leaves the latter out.
 """
 
 from __future__ import annotations
@@ -51,15 +52,17 @@ def uncertain(name: str, preset: str) -> DynamicsModel:
 
 
 def covered(label: str, model: DynamicsModel, cases: MeasuredCases) -> str:
-    """Write the shares inside at each horizon, over all channels and of each, and N; return those over all channels."""
+    """Write coverage, width and N at each horizon; return coverage and mean width over all channels and horizons."""
     from evaluation.prediction import score_model
 
     scores = score_model(label, model, cases, family=label)
     shares = per_cents(np.mean(held.inside) for held in scores.coverage)
     channels = "  ".join(f"({per_cents(held.inside)})" for held in scores.coverage)
-    sys.stdout.write(f"  {label:20s} {shares}  {channels}  N {thousandths(score.n for score in scores.scores)}\n")
+    widths = [float(np.nanmean(held.width)) for held in scores.coverage]
+    errors = thousandths(score.n for score in scores.scores)
+    sys.stdout.write(f"  {label:20s} {shares}  {channels}  width {thousandths(widths)}  N {errors}\n")
     sys.stdout.flush()
-    return shares
+    return f"{shares} ({np.mean(widths):.1f})"
 
 
 def on_logs(families: Sequence[str], preset: str, seeds: int, logs: Sequence[str]) -> Table:
@@ -90,7 +93,9 @@ def on_logs(families: Sequence[str], preset: str, seeds: int, logs: Sequence[str
     return table
 
 
-def across_conditions(families: Sequence[str], preset: str, seeds: int, groups: Sequence[str]) -> Table:
+def across_conditions(
+    families: Sequence[str], preset: str, seeds: int, groups: Sequence[str], *, adapted: bool
+) -> Table:
     """Return the coverage in the condition of the fit and in others: a row for each, and one after adaptation."""
     from evaluation.prediction import PredictionProtocol, measured_cases
     from sysid_evo.models.adaptation import NONE
@@ -107,8 +112,10 @@ def across_conditions(families: Sequence[str], preset: str, seeds: int, groups: 
                 key = seed, case.training.fingerprint
                 if key not in fitted:
                     fitted[key] = uncertain(name, preset).fit(case.training, rng=seed)
-                there = fitted[key].adapt(case.first(ADAPTED), rng=seed)
                 before.setdefault(name, []).append(covered("as it was", fitted[key], measured))
+                if not adapted:
+                    continue
+                there = fitted[key].adapt(case.first(ADAPTED), rng=seed)
                 if vars(there)["chosen_"] == NONE:
                     sys.stdout.write("  nothing was learned there\n")
                 else:
@@ -116,7 +123,8 @@ def across_conditions(families: Sequence[str], preset: str, seeds: int, groups: 
                     sys.stdout.write(f"    {there.fit_note}\n")
     table = Table("fitted in -> used in", *(f"`{name}`" for name in families))
     for condition, row in found.items():
-        table.add_row(condition, *("\n".join(row.get(name, [])) for name in families))
+        if row:
+            table.add_row(condition, *("\n".join(row.get(name, [])) for name in families))
     return table
 
 
@@ -131,10 +139,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--logs", nargs="+", default=[*TEST_EPISODE, EMULATED], choices=[*TEST_EPISODE, EMULATED])
     parser.add_argument("--conditions", nargs="+", default=[], choices=GROUPS)
+    parser.add_argument("--unadapted", action="store_true")
     add_markdown(parser)
     given = parser.parse_args(arguments)
     if given.conditions:
-        table = across_conditions(given.families, given.preset, given.seeds, given.conditions)
+        table = across_conditions(
+            given.families, given.preset, given.seeds, given.conditions, adapted=not given.unadapted
+        )
     else:
         table = on_logs(given.families, given.preset, given.seeds, given.logs)
     print_tables([table], given.markdown, Console(width=140))

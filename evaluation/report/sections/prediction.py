@@ -201,15 +201,17 @@ def condition_table(conditions: Mapping[str, tuple[ConditionError, ...]]) -> Tab
         title="Error N across conditions",
         details=True,
         columns=("model", *(errors.condition or "no name" for errors in found)),
-        rows=tuple(
-            (label, *(f"{three_digits(errors.within)} → {three_digits(errors.across)}" for errors in of_model))
-            for label, of_model in conditions.items()
-        ),
+        rows=tuple((label, *map(_condition_cell, of_model)) for label, of_model in conditions.items()),
         note=(
             f"After {found[0].horizon} steps, on the test data of each condition. Left: fitted to the training data of "
-            "all conditions; right: of all but this one."
+            "all conditions; right: of all but this one, and the share inside its intervals, if it has any."
         ),
     )
+
+
+def _condition_cell(errors: ConditionError) -> str:
+    inside = "" if errors.covered is None else f"{percent(errors.covered)} inside"
+    return lines(f"{three_digits(errors.within)} → {three_digits(errors.across)}", inside)
 
 
 def difference_table(prediction: Prediction) -> TableElement | None:
@@ -506,12 +508,13 @@ class DifferencePart(Part):
 
 
 class ConditionErrorPart(Part):
-    """N in the test data of one condition: fitted with it (``within``), and without (``across``)."""
+    """N in the test data of one condition: fitted with it (``within``), and without (``across``, ``covered``)."""
 
     condition: str
     horizon: int
     within: Number
     across: Number
+    covered: Number
 
 
 class PredictionPart(Part):

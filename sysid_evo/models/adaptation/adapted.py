@@ -189,6 +189,10 @@ class Adapted(DynamicsModel):
         return self.inner.n_draws if hasattr(self, "base_") else 0
 
     @property
+    def n_recent(self) -> int:
+        return self.inner.n_recent if hasattr(self, "base_") else 0
+
+    @property
     def dead_band_size(self) -> Array | None:
         return self.inner.dead_band_size
 

@@ -52,7 +52,7 @@ class StepNoise:
     """Normal noise added to the prediction in every step: ``white``, and ``lasting``, which is constant during a run.
 
     Both (len(edges) + 1, nx) are in units of the states; a row is used until the steps since the start reach its edge.
-    After the lags the carry holds the lasting draws (nx) and the number of steps.
+    After the lags the carry holds the lasting draws (nx), the number of steps, and a factor of the noise.
     """
 
     edges: Sequence[int]
@@ -180,7 +180,7 @@ def no_noise(held, noise, after, nx, p):
 def add_noise(held, noise, after, nx, p):
     """Add the noise of this step to ``after``, whose size depends on the number of steps, and count the step."""
     edges = int(p[0])
-    sizes, count = view(p, 1 + edges), load(held, nx * LANES)
+    sizes, count, factor = view(p, 1 + edges), load(held, nx * LANES), load(held, (nx + 1) * LANES)
     for row in range(nx):
         white, lasting = splat(sizes[2 * nx * edges + row]), splat(sizes[2 * nx * edges + nx + row])
         for back in range(edges):
@@ -188,7 +188,7 @@ def add_noise(held, noise, after, nx, p):
             white = where_less(count, p[1 + edge], sizes[2 * nx * edge + row], white)
             lasting = where_less(count, p[1 + edge], sizes[2 * nx * edge + nx + row], lasting)
         moved = white * load(noise, row * LANES) + lasting * load(held, row * LANES)
-        store(after, row * LANES, load(after, row * LANES) + moved)
+        store(after, row * LANES, load(after, row * LANES) + factor * moved)
     store(held, nx * LANES, count + 1.0)
 
 

@@ -12,7 +12,7 @@ from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.models import load_model, save_model
 from sysid_evo.models.adaptation import NONE, REFIT, ActionCorrection, CorrectionTerms, LearnedCorrection, selection
 from sysid_evo.models.adaptation import adapted as module
-from sysid_evo.models.adaptation.adapted import calibrated_elsewhere
+from sysid_evo.models.adaptation.adapted import Adapted, calibrated_elsewhere
 from sysid_evo.models.adaptation.selection import FINE_TUNED, KINDS, NEW_FIT, Adaptation, AdaptationDecision
 from sysid_evo.models.base import make_model
 from sysid_evo.system import System
@@ -239,6 +239,7 @@ def test_no_mean_is_tried_for_a_model_with_process_noise(lines):
 def test_the_spread_of_an_adapted_model_is_that_of_the_new_condition(lines):
     model, adapted, _ = lines
     assert adapted.corrects
+    assert adapted.n_recent == 0 < model.n_recent, "the factor of the base compares with another condition"
     test = drive(OTHER, seconds=60.0, seed=4, noise=0.05)
     windows = test.windows(60, stride=9, history=model.n_lags)
 
@@ -283,6 +284,15 @@ def parts():
 def uncorrected(steady, held):
     terms = CorrectionTerms.of(drive(FloorCar(), seconds=5.0, seed=3))
     return LearnedCorrection(steady, terms, np.zeros(terms.shape), held)
+
+
+def test_a_model_that_keeps_its_base_has_its_intervals(steady, parts):
+    same, windows = Adapted.holding(uncorrected(steady, parts[0])), parts[0].windows(20, stride=9, history=20)
+    runs = [
+        one.simulate(windows.past_states, windows.past_controls, windows.controls, samples=5) for one in (same, steady)
+    ]
+    np.testing.assert_array_equal(*runs)
+    assert (steady.start(windows.past_states, windows.past_controls)[:, -1] > 2.0).all()
 
 
 def kept(model):

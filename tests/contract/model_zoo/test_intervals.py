@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from model_zoo.linear import Linear
+from sysid_evo.carry import latest
 from sysid_evo.data import Dataset
 from sysid_evo.errors import NotFitted
 from sysid_evo.models import DynamicsModel, load_model, save_model
@@ -15,6 +16,8 @@ from sysid_evo.validation import intervals
 from sysid_evo.validation.folds import recording_or_time_folds
 from sysid_evo.validation.intervals import (
     HORIZONS,
+    RECENT,
+    RecentErrors,
     conformal_scale,
     growth_on_unseen_recordings,
     horizon_scales,
@@ -148,7 +151,7 @@ def test_intervals_hold_nine_in_ten_at_all_four_horizons_of_recordings_never_see
     model = Linear(stochastic=True).fit(recorded(1), rng=0)
     found = np.array(held(model, recorded(2)))
     assert (np.abs(found.mean(axis=1) - 0.9) < 0.05).all(), found
-    assert model.n_carry == 2 + 2 + 1
+    assert model.n_carry == 2 + 2 + 1 + 1
     growing = model.variant()
     growing.horizon_scales_ = np.tile(model.horizon_scales_[:1], (4, 1))
     assert not (np.abs(np.array(held(growing, recorded(2))).mean(axis=1) - 0.9) < 0.05).all()
@@ -191,19 +194,99 @@ def test_each_stretch_of_time_adds_what_is_missing_at_its_end():
     assert segments(20) == [(0, 1), (1, 10), (10, 20)]
 
 
-def test_a_step_adds_noise_of_which_a_share_lasts_and_counts_the_steps():
+def test_a_step_adds_noise_of_which_a_share_lasts_times_a_factor_and_counts_the_steps():
     model = Linear(stochastic=True, control_lags=1).fit(recorded(1, episodes=4, steps=200), rng=0)
     rng = np.random.default_rng(0)
     carry = rng.standard_normal((80, model.n_carry)) * 0.3
-    carry[:, -1] = np.arange(80)
+    carry[:, -2], carry[:, -1] = np.arange(80), rng.uniform(1.0, 3.0, 80)
     control, noise = rng.uniform(-1.0, 1.0, (80, 1)), rng.standard_normal((80, 2))
     after = model.step(carry, control, noise)
-    np.testing.assert_array_equal(after[:, -1], carry[:, -1] + 1)
-    np.testing.assert_array_equal(after[:, -3:-1], carry[:, -3:-1])
-    moved = after[:, :2] - model.variant(stochastic=False).step(carry[:, :-3], control)[:, :2]
-    share = np.sqrt(1.0 - model.persistent_) * noise + np.sqrt(model.persistent_) * carry[:, -3:-1]
+    np.testing.assert_array_equal(after[:, -2], carry[:, -2] + 1)
+    np.testing.assert_array_equal(after[:, [-4, -3, -1]], carry[:, [-4, -3, -1]])
+    moved = after[:, :2] - model.variant(stochastic=False).step(carry[:, :-4], control)[:, :2]
+    share = np.sqrt(1.0 - model.persistent_) * noise + np.sqrt(model.persistent_) * carry[:, -4:-2]
     scale = model.horizon_scales_[[0] + [1] * 9 + [2] * 10 + [3] * 60]
-    np.testing.assert_allclose(moved, scale * model.residual_ * share, atol=1e-12)
+    np.testing.assert_allclose(moved, carry[:, -1:] * scale * model.residual_ * share, atol=1e-12)
+
+
+def history(data, model, count=60):
+    """Return windows of ``count`` steps with the whole history that the spread uses."""
+    return data.windows(count, stride=9, history=model.n_lags + model.n_recent)
+
+
+def reversed_of(data):
+    """Return ``data`` of a system in which controls act the other way, with half their effect."""
+    return data.with_episodes([replace(episode, controls=-0.5 * episode.controls) for episode in data])
+
+
+def test_intervals_grow_with_the_error_over_the_last_measured_second():
+    """The factor of a recording whose model is right is little above 1, of another it is its error in usual ones."""
+    model = Linear(stochastic=True).fit(recorded(1), rng=0)
+    assert model.n_recent == RECENT == 20
+
+    def factors(data, given=None):
+        windows = history(data, model)
+        parts = [windows.past_states, windows.past_controls]
+        if given is not None:
+            parts = [part[:, -given - extra :] for part, extra in zip(parts, (1, 0), strict=True)]
+            parts = latest(*parts, model.n_lags + RECENT, PAIR.neutral_control)
+        return model.start(*parts)[:, -1]
+
+    own, other = recorded(2), reversed_of(recorded(2))
+    assert 1.0 <= np.mean(factors(own)) < 1.3
+    assert np.mean(factors(other)) > 3.0
+    assert np.mean(factors(own)) < np.mean(factors(other, 5)) < np.mean(factors(other)), "a short history says less"
+    windows = history(other, model)
+    np.testing.assert_array_equal(model.start(windows.past_states[:, -1:], windows.past_controls[:, :0])[:, -1], 1.0)
+
+    def covered(judged):
+        drawn = judged.simulate(windows.past_states, windows.past_controls, windows.controls, samples=60, rng=3)
+        return coverage(drawn[:, :, 19], windows.states[:, 19]).mean()
+
+    narrow = model.variant()
+    narrow.keep_spread(model.residual_, model.persistent_, model.horizon_scales_)
+    assert narrow.n_recent == 0
+    assert covered(model) > 0.7 > 0.5 > covered(narrow)
+
+
+def recent_of(errors, steps):
+    return RecentErrors(
+        np.broadcast_to(errors, (len(errors), RECENT, 2)), np.broadcast_to(steps, (len(errors), RECENT))
+    )
+
+
+def test_the_usual_error_is_that_of_most_runs_and_never_falls():
+    rng, steps = np.random.default_rng(0), np.arange(1, RECENT + 1)
+    size = np.where(steps == 10, 0.1, steps)[:, None]
+    errors = size * rng.standard_normal((4000, RECENT, 2))
+    errors[::10] = 1e6  # diverged
+    usual = RecentErrors.usual([recent_of(errors[:2000], steps), recent_of(errors[2000:], steps)])
+    np.testing.assert_allclose(usual, 1.1 * np.where(steps == 10, 9.0, steps)[:, None] * np.ones(2), rtol=0.12)
+
+
+def test_the_factor_is_the_relative_error_and_steps_without_a_measurement_are_usual():
+    steps, usual = np.arange(1, RECENT + 1), np.full((RECENT, 2), 0.5)
+    errors = np.array([0.1, 0.5, 1.5])[:, None, None] * np.ones((3, RECENT, 2))
+    np.testing.assert_allclose(RecentErrors(errors, np.tile(steps, (3, 1))).factor(usual)[:, 0], [1.0, 1.0, 3.0])
+    late = np.tile(np.maximum(steps - 10, 0), (3, 1))
+    np.testing.assert_allclose(RecentErrors(errors, late).factor(usual)[:, 0], [1.0, 1.0, np.sqrt(5.0)])
+    np.testing.assert_allclose(RecentErrors(errors, late).factor(0.0 * usual)[:, 0], 1.0)
+
+
+def test_a_simulation_of_the_last_samples_begins_after_padding():
+    model = Linear(stochastic=True, control_lags=1).fit(recorded(1, episodes=4, steps=200), rng=0)
+    episode = recorded(2, episodes=1, steps=60).episodes[0]
+    whole = RecentErrors.of(model, episode.states[None, 10:32], episode.controls[None, 10:31])
+    np.testing.assert_array_equal(whole.steps, [np.arange(1, 21)])
+    simulated = model.variant(stochastic=False).simulate(
+        episode.states[10:12], episode.controls[10:11], episode.controls[11:31]
+    )
+    np.testing.assert_allclose(whole.errors[0], episode.states[12:32] - simulated, atol=1e-12)
+    short = latest(episode.states[None, 24:32], episode.controls[None, 24:31], 21, PAIR.neutral_control)
+    part = RecentErrors.of(model, *short)
+    np.testing.assert_array_equal(part.steps, [[0] * 13 + [1, 2, 3, 4, 5, 6, 7]])
+    simulated = model.variant(stochastic=False).simulate(episode.states[24:25], episode.controls[24:31])
+    np.testing.assert_allclose(part.errors[0, 13:], episode.states[25:32] - simulated, atol=1e-12)
 
 
 NO_LAGS = {"control_lags": 0, "state_lags": 0}

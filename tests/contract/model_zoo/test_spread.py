@@ -64,7 +64,9 @@ def test_coverage_is_that_of_the_noise_and_errors_are_those_without(tmp_path):
 @pytest.mark.parametrize("shares", [(0.9, 0.87), (0.9, 0.6), (0.99, 0.6), ()])
 def test_intervals_with_wrong_coverage_are_marked_in_the_table(shares):
     made_up = prediction({"persistence": 0.9, "linear": 0.3})
-    held = tuple(Coverage(h, 100, 0.9, np.full(3, share)) for h, share in zip((1, 20), shares, strict=False))
+    held = tuple(
+        Coverage(h, 100, 0.9, np.full(3, share), np.ones(3)) for h, share in zip((1, 20), shares, strict=False)
+    )
     model = replace(made_up.model("linear"), coverage=held)
     sheet = coverage_table(replace(made_up, models=(made_up.models[0], model)))
     assert (sheet is None) is (not shares)
