@@ -21,8 +21,6 @@ from sysid_evo.progress import Counter, Progress
 from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.folds import recording_or_time_folds
 from sysid_evo.validation.held_out import HeldOutError, best_candidate, count_fits, lag_candidates
-from sysid_evo.validation.intervals import conformal_scale
-from sysid_evo.validation.simulation_error import error_windows
 
 JITTER = 1e-6
 """Added to the diagonal of the covariance of the inducing points, as a share of the squared amplitude."""
@@ -48,8 +46,7 @@ class GaussianProcess(StochasticModel):
     are chosen by the simulation error over one second on held-out blocks of time.
 
     With ``stochastic``, every step adds normal noise of that variance, scaled as in `StochasticModel` on held-out
-    recordings (blocks of time of a single one). If it is set after the fit, 90 % intervals contain 90 % of the samples
-    one second ahead.
+    recordings (blocks of time of a single one).
     """
 
     knowledge = "dark grey"
@@ -77,16 +74,12 @@ class GaussianProcess(StochasticModel):
         )
         self.record_lags(lags)
         self._learn(dataset, rng, counter)
-        parts = []  # models with the same hyper-parameters and inducing points
-        for seen, unseen in recording_or_time_folds(dataset):
-            parts.append((self.variant(stochastic=False), unseen))
-            parts[-1][0]._condition(seen)
         if self.stochastic:
+            parts = []  # models with the same hyper-parameters and inducing points
+            for seen, unseen in recording_or_time_folds(dataset):
+                parts.append((self.variant(stochastic=False), unseen))
+                parts[-1][0]._condition(seen)
             self.spread_on(parts, rng, lambda: counter.advance(0), own_deviation=True)
-            return self
-        self.keep_one_scale(np.ones(self.system.nx))
-        cases = [(model, error_windows(unseen, self.n_lags)) for model, unseen in parts]
-        self.keep_one_scale(conformal_scale(cases, rng, heartbeat=lambda: counter.advance(0)))
         return self
 
     def learned_arrays(self) -> Mapping[str, Declared]:

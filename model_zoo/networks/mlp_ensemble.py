@@ -25,15 +25,15 @@ from sysid_evo.validation.held_out import best_candidate, count_fits, lag_candid
 from sysid_evo.validation.intervals import (
     HORIZONS,
     MAX_WINDOWS,
+    RECENT,
     Case,
-    conformal_scale,
+    RecentErrors,
     growth_on_unseen_recordings,
     horizon_scales,
     persistent_share,
     rough_fits,
     usable_horizon,
 )
-from sysid_evo.validation.simulation_error import error_windows
 
 HIDDEN = (48, 48)
 
@@ -62,8 +62,7 @@ class MlpEnsemble(StochasticModel):
 
     With ``stochastic``, every step adds normal noise: the members' disagreement and the one-step residual, scaled as in
     `StochasticModel`. Such a fit also holds out whole recordings in turn and widens the intervals by the ratio of their
-    errors to those on held-out blocks (`growth_on_unseen_recordings`). If it is set after the fit, 90 % intervals
-    contain 90 % of held-out samples after one second.
+    errors to those on held-out blocks (`growth_on_unseen_recordings`).
     """
 
     knowledge = "dark grey"
@@ -141,8 +140,6 @@ class MlpEnsemble(StochasticModel):
             growth = growth_on_unseen_recordings(quick_fit, dataset, steps=HORIZONS) if rough else None
         if self.stochastic:
             self._calibrate_horizons(dataset, kept, growth, rng, lambda: counter.advance(0))
-        else:
-            self._calibrate(dataset, kept, rng, lambda: counter.advance(0))
         return self
 
     def fine_tuned(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self:
@@ -207,29 +204,6 @@ class MlpEnsemble(StochasticModel):
         other.weights_, other.biases_ = list(network.weights), list(network.biases)
         return other
 
-    def _calibrate(
-        self, dataset: Dataset, kept: IntArray, rng: np.random.Generator, heartbeat: Callable[[], None]
-    ) -> None:
-        """Set the one-step residual (nx,) and the scale of the noise (nx,) from errors on held-out blocks.
-
-        ``kept`` are the numbers of the members among all that were trained, which are those of their blocks.
-
-        The reference for the intervals is the simulation of the whole ensemble plus the error of each member on its
-        held-out blocks.
-        """
-        parts, residuals = [], []
-        together = self._deterministic(self.network)
-        for place, member in enumerate(kept.tolist()):
-            heartbeat()
-            windows = error_windows(time_fold(dataset, member, self.folds)[1], self.n_lags, stride=10)
-            single = self._of_member(place)
-            history = windows.past_states, windows.past_controls, windows.controls
-            error = windows.states - single.simulate(*history)
-            residuals.append(error[:, 0])
-            parts.append(replace(windows, states=together.simulate(*history) + error))
-        self.residual_ = np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0))
-        self.keep_one_scale(conformal_scale([(self, part) for part in parts], rng, heartbeat=heartbeat))
-
     def _calibrate_horizons(
         self,
         dataset: Dataset,
@@ -240,22 +214,26 @@ class MlpEnsemble(StochasticModel):
     ) -> None:
         """Learn the spread of `StochasticModel` from the errors of each member on its held-out blocks.
 
-        ``growth`` (4, nx) multiplies them: the ratio of errors on unseen recordings after 1, 10, 20, 60 steps.
+        ``kept`` are the numbers of the members among all that were trained, which are those of their blocks. The
+        reference is the simulation of the whole ensemble plus the error of each member on its blocks; ``growth``
+        (4, nx) multiplies the errors: the ratio of those on unseen recordings after 1, 10, 20, 60 steps.
         """
         held = [time_fold(dataset, member, self.folds)[1] for member in kept.tolist()]
         horizon = usable_horizon(held, self.n_lags)
-        steps = np.arange(1, horizon + 1)
+        steps = np.arange(1, max(horizon, RECENT) + 1)
         factors = np.ones((len(HORIZONS), self.system.nx)) if growth is None else growth
         times = np.stack([np.interp(steps, HORIZONS, factor) for factor in factors.T], axis=1)
-        cases, residuals, numbers = [], [], []
+        cases, recent, residuals, numbers = [], [], [], []
         together = self._deterministic(self.network)
         for member, part in enumerate(held):
             heartbeat()
             single = self._of_member(member)
+            single.residual_ = np.zeros(self.system.nx)
             case = Case.of(self, part, horizon, MAX_WINDOWS // len(kept))
+            recent.append(RecentErrors.before(replace(case, model=single), part))
             history = case.windows.past_states, case.windows.past_controls, case.windows.controls
             error = case.windows.states - single.simulate(*history)
-            moved = replace(case.windows, states=together.simulate(*history) + times * error)
+            moved = replace(case.windows, states=together.simulate(*history) + times[:horizon] * error)
             cases.append(replace(case, windows=moved))
             each = part.windows(1, history=self.n_lags)
             residuals.append((each.states - single.simulate(each.past_states, each.past_controls, each.controls))[:, 0])
@@ -264,7 +242,8 @@ class MlpEnsemble(StochasticModel):
         persistent = persistent_share(pooled, np.concatenate(numbers))
         residual = np.sqrt(np.mean(pooled**2, axis=0))
         self.keep_spread(residual, persistent, np.ones_like(factors))
-        self.keep_spread(residual, persistent, horizon_scales(cases, persistent, rng, heartbeat=heartbeat))
+        usual = times[:RECENT] * RecentErrors.usual(recent)
+        self.keep_spread(residual, persistent, horizon_scales(cases, persistent, rng, heartbeat=heartbeat), usual)
 
 
 def held_together(errors: Array) -> IntArray:

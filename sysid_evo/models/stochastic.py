@@ -63,7 +63,7 @@ class StochasticModel(DynamicsModel):
 
     @property
     def n_noise(self) -> int:
-        return self.system.nx if self.timed or (self.stochastic and hasattr(self, "noise_scale_")) else 0
+        return self.system.nx if self.timed else 0
 
     @property
     def n_draws(self) -> int:
@@ -85,9 +85,7 @@ class StochasticModel(DynamicsModel):
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         if not self.timed:
-            return (
-                self.undisturbed(carry, control) if noise is None else self.disturbed(carry, control, self._one(noise))
-            )
+            return self.undisturbed(carry, control)
         size, nx = self.n_plain, self.system.nx
         plain, lasting, count, factor = np.split(carry, [size, size + nx, size + nx + 1], axis=1)
         if noise is None:
@@ -104,7 +102,6 @@ class StochasticModel(DynamicsModel):
             "residual_": Numbers(nx, optional=not timed),
             "persistent_": Numbers(nx, least=0, most=1, optional=not timed),
             "horizon_scales_": Numbers(len(HORIZONS), nx, optional=True),
-            "noise_scale_": Numbers(nx, optional=True),
             "usual_errors_": Numbers(RECENT, nx, least=0, optional=True),
         }
 
@@ -120,17 +117,9 @@ class StochasticModel(DynamicsModel):
         if usual is not None:
             self.usual_errors_: Array = usual
 
-    def keep_one_scale(self, scale: Array) -> None:
-        """Record one scale (nx,) for all times, for a family that calibrates it without ``stochastic`` too."""
-        self.noise_scale_: Array = scale
-
-    def _one(self, noise: Array) -> Array:
-        """Return ``noise`` (B, nx) in deviations, for a family that calibrates one scale without ``stochastic`` too."""
-        return np.asarray(self.noise_scale_ * noise)
-
     def record(self, dataset: Dataset) -> None:
         super().record(dataset)
-        for name in ("horizon_scales_", "persistent_", "noise_scale_", "residual_", "usual_errors_"):
+        for name in ("horizon_scales_", "persistent_", "residual_", "usual_errors_"):
             self.__dict__.pop(name, None)
 
     def with_deviation(self, carry: Array, control: Array) -> tuple[Array, Array]:

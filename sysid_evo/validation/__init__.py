@@ -14,7 +14,7 @@ from sysid_evo.validation.folds import (
     time_fold,
 )  # fmt: skip
 from sysid_evo.validation.held_out import HeldOutError, best_candidate, lag_candidates
-from sysid_evo.validation.intervals import conformal_scale, horizon_scales
+from sysid_evo.validation.intervals import horizon_scales
 from sysid_evo.validation.measures import error_std, fit_percent, mean_over_channels, nrmse, relative_percent, rmse
 from sysid_evo.validation.simulation_error import HeldOutTest, Scorer, Simulator, error_windows, relative_error
 
@@ -30,7 +30,6 @@ __all__ = [
     "Simulator",
     "across",
     "best_candidate",
-    "conformal_scale",
     "error_std",
     "error_windows",
     "fit_percent",

@@ -1,9 +1,9 @@
 """Calibration of prediction intervals on held-out simulations.
 
-Intervals are calibrated if they contain a given share of the held-out truth. The noise of a step is therefore scaled
-(conformal calibration), either at several horizons, with a scale for each time span (`horizon_scales`), or after
-the last step only, with one scale (`conformal_scale`). Errors on an unseen recording are larger than on held-out blocks
-of a seen one, by the factor `growth_on_unseen_recordings`.
+Intervals are calibrated if they contain a given share of the held-out truth. The noise of a step is therefore scaled,
+with a scale for each time span between several horizons (`horizon_scales`), and where a model is wrong before the start
+of a run, more (`RecentErrors`). Errors on an unseen recording are larger than on held-out blocks of a seen one, by the
+factor `growth_on_unseen_recordings`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import NormalDist
-from typing import Any, Protocol, Self, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -88,10 +88,10 @@ MEDIAN_SQUARE = 0.455
 
 @dataclass(frozen=True)
 class RecentErrors:
-    """Errors (N, 20, nx) of a simulation of the last 20 measured steps, and the steps (N, 20) since its start.
+    """Errors (N, 20, nx) of a simulation of the last 20 measured steps, and the steps (N, 20) since then.
 
     The steps are 0, and the error is not used, while the history only repeats its first state under neutral controls:
-    then it was padded, or the robot stands still.
+    then it was padded, or the robot is at rest.
     """
 
     errors: Array
@@ -215,9 +215,9 @@ def horizon_scales(
 ) -> Array:
     """Return the noise of every step in deviations (4, nx), for each time span between 0 and `HORIZONS`.
 
-    The noise between two horizons is chosen so that at the later one ``share`` of all windows lie inside (conformal,
-    as in `conformal_scale`), given the variance from earlier noise. The part ``persistent`` (nx,) of its variance is
-    drawn once for a run. Time spans beyond the longest window have the last scale.
+    The noise between two horizons is chosen so that at the later one ``share`` of all windows lie inside (split
+    conformal prediction: Lei et al. 2018), given the variance from earlier noise. The part ``persistent`` (nx,) of its
+    variance is drawn once for a run. Time spans beyond the longest window have the last scale.
     """
     z = NormalDist().inv_cdf(0.5 + share / 2)
     nx, seed = cases[0].windows.states.shape[2], int(rng.integers(2**32))
@@ -300,83 +300,6 @@ class _Run:
     def go(self, first: int, last: int, scale: Array) -> None:
         """Continue the simulation to a horizon."""
         self.carry = self.to(first, last, scale)[0]
-
-
-ONE_SCALE_WINDOWS, ONE_SCALE_SAMPLES, ONE_SCALE_ROUNDS = 150, 30, 3
-
-SMALLEST_SCALE, LARGEST_SCALE = 0.1, 10.0
-
-BATCH = 40
-"""Number of windows to simulate at a time."""
-
-
-class NoisySimulator(Protocol):
-    """A fitted model with noise, which it multiplies with ``noise_scale_``."""
-
-    def variant(self, **parameters: Any) -> Self: ...
-    def simulate(self, *windows: Any, **options: Any) -> Array: ...
-    def __setattr__(self, name: str, value: Any) -> None: ...
-
-
-Noisy = TypeVar("Noisy", bound=NoisySimulator)
-
-
-def conformal_scale(
-    cases: Sequence[tuple[NoisySimulator, Windows]],
-    rng: np.random.Generator,
-    *,
-    share: float = SHARE,
-    rounds: int = ONE_SCALE_ROUNDS,
-    heartbeat: Callable[[], None] = lambda: None,
-) -> Array:
-    """Return the ``noise_scale_`` (nx,) with which ``share`` of the last states of all windows lie inside.
-
-    Every case is a fitted model and windows of its held-out data; the model has the hyper-parameter ``stochastic`` and
-    multiplies its noise with ``noise_scale_``. The normalised error of a window is the factor by which its interval
-    would have to grow about its median to contain the truth. The scale is multiplied by the ``share`` quantile of these
-    over all windows, with equal weight for all cases and (n + 1) / n times ``share`` for n windows (split conformal
-    prediction: Lei et al. 2018, Romano et al. 2019). This is done for all channels at once, and ``rounds`` times,
-    because the width is not quite proportional to the scale and the channels are coupled. The random numbers are the
-    same each time; ``heartbeat`` is called about once a second.
-    """
-    most = ONE_SCALE_WINDOWS // len(cases)
-    chosen = [(with_noise(model), windows[evenly_spaced(len(windows), most)]) for model, windows in cases]
-    noisy = [(model, part[at : at + BATCH]) for model, part in chosen for at in range(0, len(part), BATCH)]
-    nx = cases[0][1].states.shape[2]
-    seed, scale = int(rng.integers(2**32)), np.ones(nx)
-    for _ in range(rounds):
-        parts = []
-        for number, (model, windows) in enumerate(noisy):
-            heartbeat()
-            model.noise_scale_ = scale
-            drawn = model.simulate(
-                windows.past_states,
-                windows.past_controls,
-                windows.controls,
-                samples=ONE_SCALE_SAMPLES,
-                rng=np.random.default_rng([seed, number]),
-            )
-            parts.append(normalised_errors(drawn[:, :, -1], windows.states[:, -1], share=share))
-        errors = np.concatenate(parts)
-        level = min(1.0, share * (len(errors) + 1) / len(errors))
-        scale = np.clip(scale * np.quantile(errors, level, axis=0, method="higher"), SMALLEST_SCALE, LARGEST_SCALE)
-    return scale
-
-
-def with_noise(model: Noisy) -> Noisy:
-    """Return a copy of the fitted ``model`` with ``stochastic`` on."""
-    return model.variant(stochastic=True)
-
-
-def normalised_errors(samples: Array, truth: Array, *, share: float = SHARE) -> Array:
-    """Return the factor (N, nx) by which the central ``share`` of ``samples`` (S, N, nx) must grow to hold the truth.
-
-    The interval grows about the median, each side in proportion to its length; 1 is a ``truth`` (N, nx) on its edge.
-    """
-    low, middle, high = np.quantile(samples, [0.5 - share / 2, 0.5, 0.5 + share / 2], axis=0, method="weibull")
-    off = truth - middle
-    side = np.where(off > 0, high - middle, middle - low)
-    return np.divide(np.abs(off), side, out=np.where(off == 0, 0.0, np.inf), where=side > 0)
 
 
 BLOCK_FOLDS = 2

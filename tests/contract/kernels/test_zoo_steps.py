@@ -81,7 +81,7 @@ def test_members_with_lags_of_their_own_step_as_their_mean_does(car_data):
 
 
 def test_every_function_an_integral_and_a_spread_are_compiled():
-    """Inside and outside the data; the last number of a carry with a spread counts the steps."""
+    """Inside and outside the data; a carry with a spread ends with the number of steps and a factor of the noise."""
     functions = ", ".join(f"'{name}(0.7*x)'" for name in FUNCTIONS)
     library = f"custom(functions=[{functions}]) * polynomial(degree=1)"
     model = make_model(
@@ -91,10 +91,10 @@ def test_every_function_an_integral_and_a_spread_are_compiled():
     assert {row.function for row in model.features.rows} == {"", *FUNCTIONS}
     rng = np.random.default_rng(0)
     carry, control = rng.uniform(-1.8, 1.8, (80, model.n_carry)), rng.uniform(-1.0, 1.0, (80, 1))
-    carry[:, -1] = np.arange(80)
+    carry[:, -2] = np.arange(80)
     noise = rng.standard_normal((80, model.n_noise))
     after = expect_alike(model, carry, control, noise, rtol=1e-9, atol=1e-9)
-    np.testing.assert_array_equal(after[:, -1], carry[:, -1] + 1)
+    np.testing.assert_array_equal(after[:, -2:], carry[:, -2:] + [1, 0])
 
 
 @pytest.mark.parametrize("dead_band", [pytest.param(False, marks=pytest.mark.nightly), True])

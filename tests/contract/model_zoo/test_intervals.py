@@ -12,20 +12,16 @@ from sysid_evo.errors import NotFitted
 from sysid_evo.models import DynamicsModel, load_model, save_model
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import MODEL
-from sysid_evo.validation import intervals
 from sysid_evo.validation.folds import recording_or_time_folds
 from sysid_evo.validation.intervals import (
     HORIZONS,
     RECENT,
     RecentErrors,
-    conformal_scale,
     growth_on_unseen_recordings,
     horizon_scales,
-    normalised_errors,
     persistent_share,
     rough_fits,
     segments,
-    with_noise,
 )
 from sysid_evo.validation.intervals import Case as HeldOutCase
 from tests.benchmarks.coverage import coverage
@@ -75,56 +71,6 @@ def test_a_recording_alone_cannot_be_held_out():
         "where nothing can be held out, the same fit is not made three times"
     )
     assert recording_or_time_folds(short)[0][1] is short
-
-
-class Noisy(DynamicsModel):
-    """A damped walk whose noise it underestimates; y pulls x along, so that the two scales depend on each other."""
-
-    state_bounds = None
-
-    def __init__(self, *, stochastic: bool = False) -> None:
-        self.stochastic = stochastic
-
-    @property
-    def n_noise(self):
-        return 2 if self.stochastic else 0
-
-    def fit(self, dataset, *, rng, progress=None):
-        self.noise_scale_ = np.ones(2)
-        return self
-
-    def step(self, carry, control, noise=None):
-        after = 0.9 * carry + 0.1 * carry[:, ::-1] * np.array([1.0, 0.0])
-        return after if noise is None else after + 0.01 * self.noise_scale_ * noise
-
-
-def test_the_scale_that_made_the_data_is_found_and_holds_nine_in_ten():
-    """Two channels, one with three times and one with half the noise that the model believes in."""
-    truth = np.array([3.0, 0.5])
-    model = Noisy().fit(resting(["a"]), rng=0)
-    cut = resting([f"log-{i}" for i in range(60)]).windows(20, stride=20)
-    generator = with_noise(model)
-    generator.noise_scale_ = truth
-
-    def lived(seed):
-        rng = np.random.default_rng(seed)
-        return replace(cut, states=generator.simulate(cut.past_states, cut.past_controls, cut.controls, rng=rng))
-
-    scale = conformal_scale([(model, lived(1)), (model, lived(2))], np.random.default_rng(5))
-    np.testing.assert_allclose(scale, truth, rtol=0.2)
-    noisy, fresh = with_noise(model), lived(3)
-    noisy.noise_scale_ = scale
-    drawn = noisy.simulate(fresh.past_states, fresh.past_controls, fresh.controls, samples=40)
-    assert (np.abs(coverage(drawn[:, :, -1], fresh.states[:, -1]) - 0.9) < 0.07).all()
-    assert not model.stochastic
-
-
-def test_a_truth_on_the_edge_of_its_interval_has_a_normalised_error_of_one():
-    """Of 99 equally spaced samples, 0.01 to 0.99, the central 90 % reach from 0.05 to 0.95."""
-    samples = np.tile(np.arange(1, 100)[:, None, None] / 100.0, (1, 4, 1))
-    truth = np.array([[0.05], [0.95], [0.5], [1.4]])
-    np.testing.assert_allclose(normalised_errors(samples, truth)[:, 0], [1.0, 1.0, 0.0, 2.0], atol=1e-12)
-    np.testing.assert_allclose(coverage(samples, np.array([[0.04], [0.06], [0.94], [0.96]])), [0.5])
 
 
 def recorded(seed, episodes=10, steps=400):
@@ -317,38 +263,3 @@ def test_a_spread_that_was_not_learned_is_refused_and_one_that_was_is_stored(tmp
     again = load_model(tmp_path / "model").simulate(start, controls, samples=5)
     np.testing.assert_array_equal(again, spread.simulate(start, controls, samples=5))
     assert np.ptp(again[:, -1], axis=0).min() > 0
-
-
-LINE = System((Channel("x"),), (Channel("u", low=-1.0, high=1.0),), dt=0.1)
-
-
-class Shaken(DynamicsModel):
-    """Stands still; with ``stochastic`` it walks at random."""
-
-    state_bounds = None
-
-    def __init__(self, *, stochastic: bool = False) -> None:
-        self.stochastic = stochastic
-
-    def fit(self, dataset, *, rng, progress=None):
-        self.noise_scale_ = np.ones(1)
-        return self
-
-    @property
-    def n_noise(self):
-        return 1 if self.stochastic else 0
-
-    def step(self, carry, control, noise=None):
-        return carry if noise is None else carry + self.noise_scale_ * noise
-
-
-@pytest.mark.parametrize(("windows", "rank"), [(19, -1), (29, -2)])
-def test_few_windows_widen_the_intervals_by_n_plus_1_over_n(windows, rank, monkeypatch):
-    """Split conformal: of n = 19 errors the 0.9 (n + 1) / n quantile is the largest, of 29 the largest but one."""
-    data = Dataset.from_arrays(LINE, [np.zeros((60, 1))], [np.zeros((59, 1))])
-    model = Shaken().fit(data)
-    cut = data.windows(1)[:windows]
-    errors = np.linspace(0.5, 2.0, windows)[:, None]
-    monkeypatch.setattr(intervals, "normalised_errors", lambda *_, **__: errors)
-    scale = intervals.conformal_scale([(model, cut)], np.random.default_rng(0), rounds=1)
-    assert scale[0] == errors[rank, 0]
