@@ -142,7 +142,7 @@ class RecentErrors:
     def factor(self, usual: Array) -> Array:
         """Return the factor (N, 1) of the noise: the root mean square of error / ``usual`` error, at least 1.
 
-        Steps that were not simulated count as usual ones; so do states without any usual error.
+        Steps that were not simulated count like usual ones; so do states without any usual error.
         """
         unit = usual[np.maximum(self.steps - 1, 0)]
         ratios = np.divide(self.errors, unit, out=np.ones_like(self.errors), where=unit > 0)

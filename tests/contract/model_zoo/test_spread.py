@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from evaluation.prediction import Coverage, PredictionProtocol, measured_cases, score_model
-from evaluation.prediction.scores import ModelPrediction
-from evaluation.report.sections.prediction import coverage_table
+from evaluation.prediction.scores import ConditionError, ModelPrediction
+from evaluation.prediction.scoring import condition_errors
+from evaluation.report.sections.prediction import condition_table, coverage_table
 from evaluation.storage import load_result, save_result
 from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel
@@ -53,6 +54,9 @@ def test_coverage_is_that_of_the_noise_and_errors_are_those_without(tmp_path):
         assert held.calibrated
         np.testing.assert_allclose(held.inside, 0.9, atol=0.07)
     assert all(held.mean < 0.6 for held in scores[0.4].coverage)
+    wide, narrow = (np.array([held.width for held in scores[size].coverage]) * cases.std for size in (1.0, 0.4))
+    np.testing.assert_allclose(wide, 2 * 1.645 * np.sqrt([[1.0], [10.0], [20.0], [60.0]]) * np.ones(2), rtol=0.06)
+    np.testing.assert_allclose(narrow, 0.4 * wide, rtol=0.01)
     quiet = score_model("walk", fitted[1.0].variant(stochastic=False), cases, family="walk")
     assert quiet.coverage == ()
     assert [score.n for score in quiet.scores] == [score.n for score in scores[1.0].scores]
@@ -73,3 +77,31 @@ def test_intervals_with_wrong_coverage_are_marked_in_the_table(shares):
     if sheet is not None:
         marked = [cell.startswith("! ") for cell in sheet.rows[0][1:]]
         assert marked == [not one.calibrated for one in held if one.horizon in made_up.cases.horizons]
+
+
+def test_the_coverage_in_a_condition_is_that_of_the_model_fitted_to_the_others():
+    def labelled(seed):
+        data = walked(seed)
+        names = ["dry", "wet"] * (len(data.episodes) // 2)
+        return data.with_episodes([replace(e, condition=name) for e, name in zip(data, names, strict=True)])
+
+    training, test = labelled(0), labelled(1)
+
+    def errors(stochastic):
+        def learned(data, size=0.4):
+            return Walk(size=size, stochastic=stochastic).fit(data, rng=np.random.default_rng(0))
+
+        return condition_errors(learned(training, 1.0), learned, training, test, PredictionProtocol(stride=20))
+
+    found = {stochastic: errors(stochastic) for stochastic in (True, False)}
+    assert [one.condition for one in found[True]] == ["dry", "wet"]
+    assert all(one.covered == pytest.approx(0.5, abs=0.08) for one in found[True])
+    assert [one.covered for one in found[False]] == [None, None]
+    assert [(one.within, one.across) for one in found[True]] == [(one.within, one.across) for one in found[False]]
+
+
+def test_the_table_of_conditions_reports_the_share_inside_if_there_are_intervals():
+    errors = ConditionError("wet", 20, 0.3, 0.4, 0.64), ConditionError("dry", 20, 0.3, None, None)
+    sheet = condition_table({"linear": errors})
+    assert sheet.columns == ("model", "wet", "dry")
+    assert sheet.rows[0][1:] == ("0.300 → 0.400\n64 % inside", "0.300 → –")
