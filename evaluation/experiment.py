@@ -13,6 +13,7 @@ from sysid_evo.errors import InvalidArgument, Meaningless, UnknownName, did_you_
 from sysid_evo.files import parsed_toml, write_atomically
 from sysid_evo.registry import Spec, make_robot
 from sysid_evo.settings import Seconds, setting
+from sysid_evo.system import System
 
 FILE = "experiment.toml"
 DEFAULT_ROBOT = "emulated_car"
@@ -265,19 +266,34 @@ IN_LONGER_ROUNDS: Mapping[str, Any] = {
 
 Noise on the commands costs more than controllers differ, so half of the episodes have none.
 """
+IN_ROUNDS_OF_BODIES: Mapping[str, Any] = {
+    **IN_LONGER_ROUNDS,
+    "models": (
+        "mlp_ensemble(state_lags=0, control_lags=0, one_step_updates=3000, updates=1000, horizon=20)",
+        "wide=mlp_ensemble(state_lags=0, control_lags=0, hidden=[64], one_step_updates=3000, updates=600, horizon=10)",
+    ),
+    "generations": 160,
+    "trials": 10,
+    "noise": "domain_randomisation(sensor=0.05, process=0.02)",
+}
+"""Settings of a comparison in rounds on a robot that moves, unless they are given.
+
+Without noise in the models its controllers drive at the limit of their errors, and fail on the robot.
+"""
 FIRST_STEPS = 1600
 """Steps of the first recording of a comparison in rounds, unless its length is given."""
 
 
-def with_rounds(experiment: Experiment, dt: float, *, early: bool) -> Experiment:
-    """Return an experiment in rounds with the settings of rounds and a short first recording at ``dt`` (s).
+def with_rounds(experiment: Experiment, system: System, *, early: bool) -> Experiment:
+    """Return an experiment in rounds on ``system`` with the settings of rounds and a short first recording.
 
-    They are `IN_ROUNDS` if trials end ``early``, else `IN_LONGER_ROUNDS`.
+    They are `IN_ROUNDS` if trials end ``early``, else `IN_ROUNDS_OF_BODIES` if it moves, else `IN_LONGER_ROUNDS`.
     """
-    settings = IN_ROUNDS if early else IN_LONGER_ROUNDS
+    moves = system.motion is not None
+    settings = IN_ROUNDS if early else IN_ROUNDS_OF_BODIES if moves else IN_LONGER_ROUNDS
     usual = {name: value for name, value in settings.items() if getattr(experiment, name) is None}
     if "minutes" not in experiment.model_fields_set:
-        usual["minutes"] = max(0.1, FIRST_STEPS * dt / 60.0)
+        usual["minutes"] = max(0.1, FIRST_STEPS * system.dt / 60.0)
     return experiment.model_copy(update=usual)
 
 

@@ -115,7 +115,7 @@ def plan_comparison(
     in_rounds = experiment.stop_after is None and (experiment.rounds or 1) > 1
     if in_rounds:
         early = robot is not None and dataset is None and held is None and trials_end_early(experiment, robot)
-        experiment = with_rounds(experiment, system.dt, early=early)
+        experiment = with_rounds(experiment, system, early=early)
     if experiment.stop_after is None:
         experiment = with_starts(with_task(experiment, (robot,)), system, robot)
     evolution = evolution_settings(experiment)

@@ -35,6 +35,7 @@ from sysid_evo.evolution import Champion, ControllerEvolution, Finalist, Scores,
 from sysid_evo.evolution.aggregates import make_aggregate
 from sysid_evo.evolution.margins import best_candidate, lasting_fitness, margins_of, with_horizon
 from sysid_evo.models import DynamicsModel
+from sysid_evo.motion import PlanarBody
 from sysid_evo.plan import CELL_KINDS, Cell, CellContext, CellKind, CellSettings, ResultType, blocked_reason, cell_seed
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import Spec, make_robot, models
@@ -43,8 +44,8 @@ from sysid_evo.types import Array, IntArray, Seeds
 
 ROUND_STEPS, EPISODE_STEPS = 1000, 100
 """Steps after which a round records no further episode, and most steps of an episode that is not judged."""
-FEWEST_EPISODES = 3
-"""Number of judged episodes at least, however long they last."""
+FEWEST_EPISODES, OF_BODIES = 3, 4
+"""Number of judged episodes at least, however long they last, and that of a robot that moves."""
 LONGEST_SHARE = 0.05
 """Most steps of a judged episode, as a share of all recorded steps."""
 SEARCH_STEPS, BEYOND = 120, 1.2
@@ -59,7 +60,7 @@ RANDOM_TRIALS = 4
 
 
 def default_rounds(experiment: Experiment, robot: Spec) -> int | None:
-    """Return a number of rounds for a program whose trials end early, or whose task learns its reward; else None.
+    """Return a number of rounds for a program whose trials end early, that moves, or whose reward is learned; else None.
 
     The first recording of such a robot shows little of what a good controller meets. None also if the settings that
     rounds choose are given, or the ``robot`` is compiled, physical or slow.
@@ -70,7 +71,7 @@ def default_rounds(experiment: Experiment, robot: Spec) -> int | None:
     given = any(getattr(experiment, name) is not None for name in chosen) or experiment.schedule or experiment.penalty
     if given or not _is_cheap(experiment, robot) or make_robot(robot).dynamics is not None:
         return None
-    if trials_end_early(experiment, robot):
+    if isinstance(make_robot(robot).system.motion, PlanarBody) or trials_end_early(experiment, robot):
         return DEFAULT_ROUNDS
     learns = make_task(experiment.task or default_task((robot,))).needs_recording
     return MORE_ROUNDS if learns else None
@@ -118,7 +119,8 @@ class RoundsSoFar:
 class Round(CellSettings):
     """Round ``number``: fit ``specs`` to all data so far, evolve a controller in them, record ``robot`` under it.
 
-    The evolution continues from that of `round_to_continue`, other runs from the beginning. ``noise`` is that of
+    The evolution continues from that of `round_to_continue`, other runs from the beginning. Its trials are as long as
+    those of the task if the robot moves, else see `search_horizon`. ``noise`` is that of
     `Exploring`, in a share ``noisy_share`` of the episodes. The others have the same starts in every round, and their
     fitness alone is compared. Judged episodes last as long as the trial, up to `LONGEST_SHARE` of ``max_steps``: a
     controller that lasts is recorded in fewer and longer episodes, and returns of all rounds are comparable. No round
@@ -172,10 +174,12 @@ class Round(CellSettings):
         longest = make_task(self.evolution.task).bind(dataset.system).horizon
         whole = max(1, min(longest, round(LONGEST_SHARE * self.max_steps)))
         short = min(EPISODE_STEPS, whole)
-        episodes = min(ROUND_STEPS, self.max_steps - summary.steps - FEWEST_EPISODES * whole) // short
+        moves = dataset.system.motion is not None
+        fewest = OF_BODIES if moves else FEWEST_EPISODES
+        episodes = min(ROUND_STEPS, self.max_steps - summary.steps - fewest * whole) // short
         if summary.ended:
             return before
-        if episodes < FEWEST_EPISODES:
+        if episodes < fewest:
             return replace(before, summary=replace(summary, ended=f"{self.max_steps} recorded steps are the most"))
         goal = recorded_task(self.evolution.task, dataset)
         learned = {spec.label: Fit(spec, self.data, self.seed, self.preset).learn(dataset) for spec in self.specs}
@@ -185,7 +189,7 @@ class Round(CellSettings):
             f"round {self.number}",
             learned,
             dataset.system,
-            in_trials_of(continued(self.evolution, start), goal, search_horizon(known, longest)),
+            in_trials_of(continued(self.evolution, start), goal, longest if moves else search_horizon(known, longest)),
             seed=cell_seed(self.seed, f"round {self.number}"),
             initial=None if start is None else start.parameters,
             progress=work.progress,
@@ -198,14 +202,14 @@ class Round(CellSettings):
         if self.noisy_share < 1.0:
             explorer = robot.bind(driver, make_task(with_horizon(goal, short)))
             explored = record_until(explorer, champion.parameters, seeds, noisy * short)
-            driver, seeds = law, trial_seeds(seed, max(FEWEST_EPISODES, episodes - noisy))
+            driver, seeds = law, trial_seeds(seed, max(fewest, episodes - noisy))
         judge = make_task(with_horizon(goal, whole))
         rest = summary.rest
         if rest is None:
             idle = Champion.baseline("constant", self.evolution.task, dataset.system)
             idly = robot.bind(make_controller(idle.controller), judge)
             rest = idly(idle.parameters[None], trial_seeds(seed, FEWEST_EPISODES)).fitness[0]
-        judged = record_until(robot.bind(driver, judge), champion.parameters, seeds, len(seeds) * short)
+        judged = record_until(robot.bind(driver, judge), champion.parameters, seeds, len(seeds) * short, fewest)
         driven, seeds = [*explored, *judged], seeds[: len(judged)]
         recorded = [run for one in driven for run in one.trajectories]
         new = [replace(run, name=f"round-{self.number}-{i + 1}") for i, run in enumerate(recorded)]
@@ -226,14 +230,16 @@ class Round(CellSettings):
         return RoundsSoFar(dataset.with_episodes([*dataset.episodes, *new]), summary)
 
 
-def record_until(drive: BoundRunner, parameters: Array, seeds: Seeds, steps: int) -> list[Rollouts]:
+def record_until(
+    drive: BoundRunner, parameters: Array, seeds: Seeds, steps: int, fewest: int = FEWEST_EPISODES
+) -> list[Rollouts]:
     """Return the recorded episodes of ``seeds`` (E,), in their order, the first that have ``steps`` steps in all.
 
-    They are at least `FEWEST_EPISODES` if there are as many seeds.
+    They are at least ``fewest`` if there are as many seeds.
     """
     driven: list[Rollouts] = []
     for k in range(len(seeds)):
-        if k < FEWEST_EPISODES or sum(int(run.survived.sum()) for run in driven) < steps:
+        if k < fewest or sum(int(run.survived.sum()) for run in driven) < steps:
             driven.append(drive(parameters[None], seeds[k : k + 1], record=True))
     return driven
 
@@ -430,5 +436,5 @@ def _load(path: Path) -> RoundsSoFar:
     return RoundsSoFar(Dataset.load(path / "data"), load_result(RoundsSummary, path / "rounds"))
 
 
-CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=5)
+CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=6)
 CELL_KINDS["choose_round"] = CellKind(CONTROLLERS, version=3, tolerant=True)

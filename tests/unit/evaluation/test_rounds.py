@@ -11,12 +11,14 @@ from evaluation.cells.rounds import (
     RoundData,
     RoundsSoFar,
     continued,
+    default_rounds,
     error_ahead,
     in_trials_of,
     record_until,
     search_horizon,
 )
 from evaluation.experiment import Experiment
+from evaluation.experiment import with_rounds as with_settings_of_rounds
 from evaluation.planning import plan_comparison
 from evaluation.report.report import brief, to_html
 from evaluation.report.sections.controllers import fitness_table
@@ -99,6 +101,21 @@ def test_a_robot_whose_trials_last_gets_a_network_and_episodes_without_noise():
     assert [spec.label for spec in settings.specs] == ["mlp_ensemble", "narx"]
 
 
+def test_a_robot_that_moves_gets_two_networks_and_noise_unless_they_are_given():
+    body = make_robot(robot_spec("emulated_car")).system
+    found = with_settings_of_rounds(Experiment(), body, early=False)
+    assert len(found.models) == 2
+    assert found.noise.startswith("domain_randomisation")
+    given = with_settings_of_rounds(Experiment(noise="none", models=("linear",)), body, early=False)
+    assert (given.noise, given.models) == ("none", ("linear",))
+    assert with_settings_of_rounds(Experiment(), body, early=True).noise is None
+
+
+def test_a_planar_simulator_is_recorded_in_rounds():
+    pytest.importorskip("vehiclemodels")
+    assert default_rounds(Experiment(), robot_spec("drift_car")) == 6
+
+
 def test_the_start_of_the_best_round_comes_first_and_continues_from_it():
     starts = "start(controller=feed_forward), start(controller=linear)"
     evolution = ControllerEvolution(starts=starts)
@@ -141,8 +158,8 @@ def test_the_evolution_looks_no_farther_where_nothing_ends_episodes():
     assert search_horizon([whole, made(2, [0.0] * 3, [0.0] * 3, steps=[1000, 700, 1000])], 1000) == 1000
 
 
-@pytest.mark.parametrize(("lasts", "episodes"), [(30, 10), (150, 7), (400, 3), (1000, 3)])
-def test_the_longer_a_controller_lasts_the_fewer_episodes_are_recorded(lasts, episodes):
+@pytest.mark.parametrize(("lasts", "fewest", "episodes"), [(30, 3, 10), (150, 3, 7), (400, 3, 3), (1000, 4, 4)])
+def test_the_longer_a_controller_lasts_the_fewer_episodes_are_recorded(lasts, fewest, episodes):
     began = []
 
     def drive(parameters, seeds, *, record):
@@ -151,7 +168,7 @@ def test_the_longer_a_controller_lasts_the_fewer_episodes_are_recorded(lasts, ep
             fitness=np.ones((1, 1)), survived=np.full((1, 1), lasts), clipped=None, task_state=None, engine=""
         )
 
-    driven = record_until(drive, np.zeros(2), np.arange(10), 1000)
+    driven = record_until(drive, np.zeros(2), np.arange(10), 1000, fewest)
     assert len(driven) == episodes
     np.testing.assert_array_equal(began, np.arange(episodes))
 
