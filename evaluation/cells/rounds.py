@@ -60,7 +60,7 @@ RANDOM_TRIALS = 4
 
 
 def default_rounds(experiment: Experiment, robot: Spec) -> int | None:
-    """Return a number of rounds for a program whose trials end early, that moves, or whose reward is learned; else None.
+    """Return a number of rounds for a program that moves, ends trials early or learns its reward; else None.
 
     The first recording of such a robot shows little of what a good controller meets. None also if the settings that
     rounds choose are given, or the ``robot`` is compiled, physical or slow.

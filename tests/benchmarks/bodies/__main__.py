@@ -59,10 +59,10 @@ def row_of(case: str, options: argparse.Namespace) -> tuple[str, ...]:
     name, _, task = case.partition("/")
     robot, began = find_robot(name), time.monotonic()
     task = task or str(getattr(robot, "default_task", ""))
-    given = {} if options.generations is None else {"generations": options.generations}
+    given = {name: value for name in ("minutes", "generations") if (value := getattr(options, name)) is not None}
     report = compare(
-        out=options.out / case.replace("/", "-"), robot=name, task=task, minutes=options.minutes, seed=options.seed,
-        robot_trials=options.trials, **given,
+        out=options.out / case.replace("/", "-"), robot=name, task=task, seed=options.seed, robot_trials=options.trials,
+        **given,
     )  # fmt: skip
     took, began = time.monotonic() - began, time.monotonic()
     simulator, difference = compiled(robot)
@@ -91,7 +91,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--cases", nargs="+", default=CASES)
-    parser.add_argument("--minutes", type=float, default=6.0)
+    parser.add_argument("--minutes", type=float, help="of the first recording (default: that of a comparison)")
     parser.add_argument("--trials", type=int, default=20, help="of each controller on the robot")
     parser.add_argument("--generations", type=int, help="of each search in models (default: the preset's)")
     parser.add_argument("--on-simulator", type=int, default=450, help="generations of the search on the simulator")
