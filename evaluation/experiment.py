@@ -131,6 +131,7 @@ class Experiment(BaseModel):
         None, "Share of the episodes of a round with this noise; the others alone are compared", ge=0.0, le=1.0
     )
     max_steps: Positive = setting(20_000, "Most steps recorded in all rounds")
+    searched: tuple[str, ...] | None = setting(None, "Models in which rounds search; the others only score")
     preset: Literal["quick", "standard", "paper"] = setting(
         "quick", "Budget: quick, standard or paper", "Budget", "NAME"
     )
@@ -210,7 +211,7 @@ Settings = TypedDict("Settings", {  # noqa: UP013  # several in a line
     "search_minutes": float, "trials": int | None, "repeats": int | None, "polish_generations": int | None,
     "selection_trials": int, "estimator_delay": float, "transfer_trials": int, "robot_trials": int | None,
     "traces": int, "reference": bool | None, "seed": int, "rounds": int | None, "command_noise": float,
-    "noisy_share": float | None, "max_steps": int, "plugins": Sequence[str | Path],
+    "noisy_share": float | None, "max_steps": int, "searched": Sequence[str] | None, "plugins": Sequence[str | Path],
 }, total=False)  # fmt: skip
 """The keywords of `evaluation.compare`, for type checkers; see `Experiment`."""
 
@@ -218,7 +219,7 @@ OF_CONTROLLERS = (
     "task", "controller", "baselines", "strategy", "procedure", "aggregate", "noise", "penalty", "starts", "schedule",
     "generations", "search_minutes", "trials", "repeats", "polish_generations", "selection_trials", "estimator_delay",
     "transfer_trials", "robot_trials", "traces", "reference", "ensembles", "rounds", "command_noise", "noisy_share",
-    "max_steps",
+    "max_steps", "searched",
 )  # fmt: skip
 NO_CONTROLLERS = {"stop_after": ("fit", "prediction")}
 
@@ -270,8 +271,9 @@ IN_ROUNDS_OF_BODIES: Mapping[str, Any] = {
     **IN_LONGER_ROUNDS,
     "models": (
         "mlp_ensemble(state_lags=0, control_lags=0, one_step_updates=3000, updates=1000, horizon=20)",
-        "wide=mlp_ensemble(state_lags=0, control_lags=0, hidden=[64], one_step_updates=3000, updates=600, horizon=10)",
+        "wide=mlp_ensemble(state_lags=0, control_lags=0, hidden=[64, 64], one_step_updates=3000, updates=1000)",
     ),
+    "searched": ("mlp_ensemble",),
     "generations": 320,
     "trials": 5,
     "repeats": 2,
@@ -279,7 +281,8 @@ IN_ROUNDS_OF_BODIES: Mapping[str, Any] = {
 }
 """Settings of a comparison in rounds on a robot that moves, unless they are given.
 
-Without noise in the models its controllers drive at the limit of their errors, and fail on the robot.
+Without noise in the models its controllers drive at the limit of their errors, and fail on the robot. A second model
+that underrates what the first knows would forbid it, so that it only scores.
 """
 FIRST_STEPS = 1600
 """Steps of the first recording of a comparison in rounds, unless its length is given."""
@@ -293,6 +296,8 @@ def with_rounds(experiment: Experiment, system: System, *, early: bool) -> Exper
     moves = system.motion is not None
     settings = IN_ROUNDS if early else IN_ROUNDS_OF_BODIES if moves else IN_LONGER_ROUNDS
     usual = {name: value for name, value in settings.items() if getattr(experiment, name) is None}
+    if experiment.models is not None:
+        usual.pop("searched", None)
     if "minutes" not in experiment.model_fields_set:
         usual["minutes"] = max(0.1, FIRST_STEPS * system.dt / 60.0)
     return experiment.model_copy(update=usual)

@@ -294,6 +294,9 @@ def last_round(experiment: Experiment, robot: Plant | None, first: Cell, specs: 
     """
     if robot is None:
         raise InvalidArgument("rounds: expected a robot that is a program, such as an environment; give --robot")
+    specs = tuple(spec for spec in specs if experiment.searched is None or spec.label in experiment.searched)
+    if not specs:
+        raise InvalidArgument(f"searched: expected labels of models, got {', '.join(experiment.searched or ())}")
     found: Cell[Round] | None = None
     for number in range(1, (experiment.rounds or 1) + 1):
         found = Round(

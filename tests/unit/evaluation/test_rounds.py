@@ -106,9 +106,20 @@ def test_a_robot_that_moves_gets_two_networks_and_noise_unless_they_are_given():
     found = with_settings_of_rounds(Experiment(), body, early=False)
     assert len(found.models) == 2
     assert found.noise.startswith("domain_randomisation")
+    assert found.searched == ("mlp_ensemble",)
     given = with_settings_of_rounds(Experiment(noise="none", models=("linear",)), body, early=False)
-    assert (given.noise, given.models) == ("none", ("linear",))
+    assert (given.noise, given.models, given.searched) == ("none", ("linear",), None)
     assert with_settings_of_rounds(Experiment(), body, early=True).noise is None
+
+
+def test_rounds_search_in_the_named_models_alone():
+    asked = Experiment(robot=ROBOT, rounds=2, models=("linear", "narx"), searched=("narx",))
+    planned = plan_comparison(asked)
+    round_, *_ = planned.plan.of_kind("round")
+    assert [spec.label for spec in round_.settings.specs] == ["narx"]
+    assert tuple(planned.fits) == ("linear", "narx")
+    with pytest.raises(InvalidArgument, match="searched: expected labels"):
+        plan_comparison(asked.model_copy(update={"searched": ("other",)}))
 
 
 def test_a_planar_simulator_is_recorded_in_rounds():
