@@ -274,9 +274,8 @@ IN_ROUNDS_OF_BODIES: Mapping[str, Any] = {
         "wide=mlp_ensemble(state_lags=0, control_lags=0, hidden=[64, 64], one_step_updates=3000, updates=1000)",
     ),
     "searched": ("mlp_ensemble",),
-    "generations": 320,
-    "trials": 5,
-    "repeats": 2,
+    "generations": 160,
+    "trials": 10,
     "noise": "domain_randomisation(sensor=0.05, process=0.02)",
 }
 """Settings of a comparison in rounds on a robot that moves, unless they are given.
