@@ -51,7 +51,7 @@ LONGEST_SHARE = 0.05
 SEARCH_STEPS, BEYOND = 120, 1.2
 """Horizon of the evolution at least, and as a multiple of the steps for which the best controller so far lasts."""
 DEFAULT_ROUNDS, MORE_ROUNDS = 6, 10
-"""Number of rounds by default: if trials end early, and if the reward is learned."""
+"""Number of rounds by default: if trials end early, and if the robot moves or its reward is learned."""
 NEARER = 0.1
 """Factor of sigma in a search that continues a controller."""
 RECORDING_SECONDS = 100.0
@@ -71,7 +71,9 @@ def default_rounds(experiment: Experiment, robot: Spec) -> int | None:
     given = any(getattr(experiment, name) is not None for name in chosen) or experiment.schedule or experiment.penalty
     if given or not _is_cheap(experiment, robot) or make_robot(robot).dynamics is not None:
         return None
-    if isinstance(make_robot(robot).system.motion, PlanarBody) or trials_end_early(experiment, robot):
+    if isinstance(make_robot(robot).system.motion, PlanarBody):
+        return MORE_ROUNDS
+    if trials_end_early(experiment, robot):
         return DEFAULT_ROUNDS
     learns = make_task(experiment.task or default_task((robot,))).needs_recording
     return MORE_ROUNDS if learns else None

@@ -124,7 +124,7 @@ def test_rounds_search_in_the_named_models_alone():
 
 def test_a_planar_simulator_is_recorded_in_rounds():
     pytest.importorskip("vehiclemodels")
-    assert default_rounds(Experiment(), robot_spec("drift_car")) == 6
+    assert default_rounds(Experiment(), robot_spec("drift_car")) == 10
 
 
 def test_the_start_of_the_best_round_comes_first_and_continues_from_it():
