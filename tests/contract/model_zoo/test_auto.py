@@ -1,6 +1,7 @@
 """`auto` and `average`: acceptance, weights, what is tried for a budget, and the mean of what is kept."""
 
 import importlib.util
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -596,6 +597,14 @@ def test_a_refinement_is_tried_if_its_shorter_version_is_near_the_best_and_repla
     for expected, reason in zip(reasons, choice.reasons, strict=True):
         assert expected in reason
         assert bool(reason) == bool(expected)
+
+
+def test_a_refinement_of_a_good_candidate_is_tried_before_what_is_left():
+    """A budget of 9 is enough for a and b; b falls behind, which leaves 4, for c or for d."""
+    specs = {"a": PLAIN, "b": BEHIND, "c": "linear(state_lags=2)", "d": NARX}
+    a, b, c, d = (Candidate(Spec.parse(f"{name}={text}"), 1.0, 0.0) for name, text in specs.items())
+    choice = choice_among([a, b, c, replace(d, successor_of=a.name)], budget=9.0)
+    assert [error is not None for error in choice.errors] == [True, True, False, True]
 
 
 @pytest.mark.parametrize(("cutoff", "folds"), [(3.0, [0, 1, 2]), (1.25, [0, 2])])
