@@ -39,12 +39,12 @@ class Auto(MeanModel):
     of the recordings (`selection_horizons`). A candidate that is far worse in the first fold (1.25 times the cutoff,
     and significantly) skips the others. Candidates that fail, diverge or do not pass the `SanityCheck` are dropped.
 
-    Others are kept within ``cutoff`` times the lowest error; the cutoff is reduced if the mean of fewer candidates
-    has a lower held-out error, but candidates that are not significantly worse than the best stay (paired
-    bootstrap). The best candidate of each model class always stays within ``class_cutoff`` times the lowest error,
-    over all folds and in the geometric mean of the folds, since models of another structure fail elsewhere. A good
-    state space is replaced by a version with longer training and a good Gaussian process by the average of three,
-    if that is better; both are tried before other candidates. The candidates that are kept are refitted to all data; fully trained state spaces are
+    Others are kept within ``cutoff`` times the lowest error; the cutoff is reduced if the mean of fewer candidates has
+    a lower held-out error, but candidates that are not significantly worse than the best stay (paired bootstrap). The
+    best candidate of each model class always stays within ``class_cutoff`` times the lowest error, over all folds and
+    in the geometric mean of the folds, since models of another structure fail elsewhere. A good state space is replaced
+    by a version with longer training and a good Gaussian process by the average of three, if that is better; both are
+    tried before other candidates. The candidates that are kept are refitted to all data; fully trained state spaces are
     averaged with those fitted without each fold, except much worse ones.
 
     The weight of a model class (networks with lags, networks without, polynomials, neighbours, physics, state spaces)
