@@ -173,7 +173,7 @@ class CandidateSelection:
                 errors[number], reasons[number] = error, reason
             spent = sum(self._task(n, 0).cost if reasons[n] else costs[n] for n in tried)
             ready = [n for n in costs if n not in tried and self._may_be_tried(n, errors)]
-            ready.sort(key=lambda n: n not in self._refined)  # what is good already promises more than what is untried
+            ready.sort(key=lambda n: n not in self._refined)  # longer versions of good candidates first
             for n in ready:
                 reasons[n] = UNTRIED
             batch = affordable({n: costs[n] for n in ready}, self.budget - spent)
