@@ -17,6 +17,8 @@ PREDICTS = 0.5
 """Error ahead up to which the models of a round predict its episodes."""
 SHORT_EPISODE = 50
 """Median steps of an episode below which a recording shows little of what a controller meets later."""
+MOST_AGAIN = 4
+"""Most controllers that are tried again after the last round."""
 HOLDS = 0.1
 """Share of a claim that may be missing in the recorded episodes of a round whose claim holds."""
 
@@ -29,7 +31,8 @@ class RecordingRound:
     ``achieved`` (J,) that of the judged episodes on the robot: those without noise on the commands, or all if each has
     noise. Both are under the same conditions. ``steps`` (E,) are those of every episode. ``errors`` gives the error of
     each model `ERROR_STEPS` steps ahead on these episodes, in standard deviations of the data; the models were fitted
-    without them.
+    without them. ``again`` (K,) is the fitness in further episodes on the robot, without noise, of a controller that
+    may be the best of all rounds; None of others.
     """
 
     number: int
@@ -39,6 +42,12 @@ class RecordingRound:
     achieved: Array
     steps: IntArray
     errors: Mapping[str, float]
+    again: Array | None = None
+
+    @property
+    def fitness(self) -> Array:
+        """Fitness on the robot by which the controller is compared: ``again`` if it is known, else ``achieved``."""
+        return self.achieved if self.again is None else self.again
 
     @property
     def judged_steps(self) -> IntArray:
@@ -61,8 +70,9 @@ class RecordingRound:
 class RoundsSummary:
     """All rounds so far, the steps of the ``first`` recording, and the median length of its episodes.
 
-    ``ended`` is the reason why no further round is made, empty if there is none. ``rest`` (J,) is the fitness of
-    controls at rest in episodes such as the judged ones, which were not recorded; None before the first round.
+    ``ended`` is the reason why no further round is made, empty if there is none. ``rest`` (K,) is the fitness of
+    controls at rest on the robot, measured after the last round, in the episodes of ``again``; None before. The latter
+    have ``steps_again`` steps in all.
     """
 
     first: int
@@ -70,22 +80,44 @@ class RoundsSummary:
     rounds: tuple[RecordingRound, ...] = ()
     ended: str = ""
     rest: Array | None = None
+    steps_again: int = 0
 
     @property
     def steps(self) -> int:
-        """All recorded steps."""
-        return self.first + sum(int(one.steps.sum()) for one in self.rounds)
+        """All steps on the robot, but those at rest."""
+        return self.first + sum(int(one.steps.sum()) for one in self.rounds) + self.steps_again
+
+    @property
+    def compared(self) -> tuple[RecordingRound, ...]:
+        """The rounds among whose controllers one is chosen: those tried again, all of them if none was."""
+        return tuple(one for one in self.rounds if one.again is not None) or self.rounds
 
     @property
     def better_than_rest(self) -> bool:
-        """Whether the best controller achieved more in its judged episodes than controls at rest in theirs."""
-        best = best_round(self.rounds)
-        return best is not None and self.rest is not None and float(best.achieved.mean()) > float(self.rest.mean())
+        """Whether the best controller achieved more on the robot than controls at rest."""
+        best = max((float(one.fitness.mean()) for one in self.compared), default=-np.inf)
+        return self.rest is not None and best > float(self.rest.mean())
 
 
 def best_round(known: Sequence[RecordingRound]) -> RecordingRound | None:
     """Return the round with the highest mean fitness in its judged episodes, None without any."""
     return max(known, key=lambda one: float(one.achieved.mean()), default=None)
+
+
+def rounds_to_try_again(known: Sequence[RecordingRound]) -> list[RecordingRound]:
+    """Return the rounds that may be the best, the best first and of equals the latest: at most `MOST_AGAIN`.
+
+    They are within two standard errors of the difference to the best one. The highest of many means of a few episodes
+    is too high by chance, so the choice among them needs others.
+    """
+    ranked = sorted(known, key=lambda one: (float(one.achieved.mean()), one.number), reverse=True)
+    best = ranked[0]
+    near = [
+        one
+        for one in ranked
+        if best.achieved.mean() - one.achieved.mean() <= 2.0 * np.hypot(best.standard_error, one.standard_error)
+    ]
+    return near[:MOST_AGAIN]
 
 
 def round_to_continue(known: Sequence[RecordingRound]) -> RecordingRound | None:

@@ -23,6 +23,7 @@ from evaluation.rounds import (
     best_round,
     reason_to_end,
     round_to_continue,
+    rounds_to_try_again,
 )
 from evaluation.storage import load_result, save_result
 from sysid_evo.controllers.controller import Controller, make_controller
@@ -39,6 +40,7 @@ from sysid_evo.motion import PlanarBody
 from sysid_evo.plan import CELL_KINDS, Cell, CellContext, CellKind, CellSettings, ResultType, blocked_reason, cell_seed
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import Spec, make_robot, models
+from sysid_evo.system import System
 from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array, IntArray, Seeds
 
@@ -46,6 +48,8 @@ ROUND_STEPS, EPISODE_STEPS = 1000, 100
 """Steps after which a round records no further episode, and most steps of an episode that is not judged."""
 FEWEST_EPISODES, OF_BODIES = 3, 4
 """Number of judged episodes at least, however long they last, and that of a robot that moves."""
+EPISODES_AGAIN = 20
+"""Most further episodes of a controller after the last round."""
 LONGEST_SHARE = 0.05
 """Most steps of a judged episode, as a share of all recorded steps."""
 SEARCH_STEPS, BEYOND = 120, 1.2
@@ -125,8 +129,9 @@ class Round(CellSettings):
     those of the task if the robot moves, else see `search_horizon`. ``noise`` is that of
     `Exploring`, in a share ``noisy_share`` of the episodes. The others have the same starts in every round, and their
     fitness alone is compared. Judged episodes last as long as the trial, up to `LONGEST_SHARE` of ``max_steps``: a
-    controller that lasts is recorded in fewer and longer episodes, and returns of all rounds are comparable. No round
-    follows one that gives a `reason_to_end`, or if it might exceed ``max_steps`` recorded steps in all.
+    controller that lasts is recorded in fewer and longer episodes, and returns of all rounds are comparable. The best
+    are tried again at the end, see `tried_again`. No round follows one that gives a `reason_to_end`, or if it might
+    exceed ``max_steps`` recorded steps in all.
     """
 
     number: int
@@ -140,6 +145,7 @@ class Round(CellSettings):
     max_steps: int
     seed: int
     preset: str
+    is_last: bool = False
 
     def cell(self) -> Cell[Round]:
         """Return the cell of the round."""
@@ -168,6 +174,7 @@ class Round(CellSettings):
             "episodes": [ROUND_STEPS, EPISODE_STEPS, FEWEST_EPISODES, LONGEST_SHARE, SEARCH_STEPS, BEYOND],
             "max_steps": self.max_steps,
             "seed": self.seed,
+            "last": self.is_last,
         }
 
     def compute(self, work: CellContext) -> RoundsSoFar:
@@ -182,7 +189,9 @@ class Round(CellSettings):
         if summary.ended:
             return before
         if episodes < fewest:
-            return replace(before, summary=replace(summary, ended=f"{self.max_steps} recorded steps are the most"))
+            summary = replace(summary, ended=f"{self.max_steps} recorded steps are the most")
+            goal = with_horizon(recorded_task(self.evolution.task, dataset), whole)
+            return replace(before, summary=self.tried_again(summary, work, dataset.system, goal))
         goal = recorded_task(self.evolution.task, dataset)
         learned = {spec.label: Fit(spec, self.data, self.seed, self.preset).learn(dataset) for spec in self.specs}
         known: Sequence[RecordingRound] = summary.rounds
@@ -206,11 +215,6 @@ class Round(CellSettings):
             explored = record_until(explorer, champion.parameters, seeds, noisy * short)
             driver, seeds = law, trial_seeds(seed, max(fewest, episodes - noisy))
         judge = make_task(with_horizon(goal, whole))
-        rest = summary.rest
-        if rest is None:
-            idle = Champion.baseline("constant", self.evolution.task, dataset.system)
-            idly = robot.bind(make_controller(idle.controller), judge)
-            rest = idly(idle.parameters[None], trial_seeds(seed, FEWEST_EPISODES)).fitness[0]
         judged = record_until(robot.bind(driver, judge), champion.parameters, seeds, len(seeds) * short, fewest)
         driven, seeds = [*explored, *judged], seeds[: len(judged)]
         recorded = [run for one in driven for run in one.trajectories]
@@ -228,8 +232,41 @@ class Round(CellSettings):
             errors={label: error_ahead(model, dataset, new) for label, model in learned.items()},
         )
         ended = reason_to_end(known, made, whole)
-        summary = replace(summary, rounds=(*known, made), ended=ended, rest=rest)
+        summary = replace(summary, rounds=(*known, made), ended=ended)
+        if ended or self.is_last:
+            summary = self.tried_again(summary, work, dataset.system, with_horizon(goal, whole))
         return RoundsSoFar(dataset.with_episodes([*dataset.episodes, *new]), summary)
+
+    def tried_again(self, summary: RoundsSummary, work: CellContext, system: System, goal: Spec) -> RoundsSummary:
+        """Return ``summary`` with further episodes of the controllers that may be the best, and of controls at rest.
+
+        They are trials of ``goal``, as many as the steps left allow, up to `EPISODES_AGAIN` of each controller; as many
+        controllers are tried as have `FEWEST_EPISODES`.
+        """
+        if not summary.rounds:
+            return summary
+        robot, task = self.robot.runner(work, delay=0.0), make_task(goal)
+        near, left = rounds_to_try_again(summary.rounds), self.max_steps - summary.steps
+        longest = [int(np.max(one.judged_steps)) for one in near]
+        count = len(near)
+        while count and left // sum(longest[:count]) < FEWEST_EPISODES:
+            count -= 1
+        episodes = min(EPISODES_AGAIN, left // sum(longest[:count])) if count else FEWEST_EPISODES
+        seeds = trial_seeds(cell_seed(self.seed, "again"), episodes)
+
+        def run(controller: str, parameters: Array) -> Rollouts:
+            return robot.bind(make_controller(controller), task)(parameters[None], seeds)
+
+        runs = {one.number: run(one.controller, one.parameters) for one in near[:count]}
+        idle = Champion.baseline("constant", self.evolution.task, system)
+        return replace(
+            summary,
+            rounds=tuple(
+                replace(one, again=runs[one.number].fitness[0]) if one.number in runs else one for one in summary.rounds
+            ),
+            rest=run(idle.controller.text, idle.parameters).fitness[0],
+            steps_again=sum(int(one.survived.sum()) for one in runs.values()),
+        )
 
 
 def record_until(
@@ -300,11 +337,12 @@ def last_round(experiment: Experiment, robot: Plant | None, first: Cell, specs: 
     if not specs:
         raise InvalidArgument(f"searched: expected labels of models, got {', '.join(experiment.searched or ())}")
     found: Cell[Round] | None = None
-    for number in range(1, (experiment.rounds or 1) + 1):
+    count = experiment.rounds or 1
+    for number in range(1, count + 1):
         found = Round(
             number, first, found, robot, specs, evolution_settings(experiment), experiment.command_noise,
             1.0 if experiment.noisy_share is None else experiment.noisy_share, experiment.max_steps, experiment.seed,
-            experiment.preset,
+            experiment.preset, is_last=number == count,
         ).cell()  # fmt: skip
     assert found is not None
     return found
@@ -363,7 +401,7 @@ class RoundData(CellSettings):
 
 @dataclass(frozen=True)
 class ChooseRound(ControllerSettings):
-    """Choice among the controllers of all rounds: the highest mean fitness in the episodes recorded under it.
+    """Choice among the controllers of all rounds: the highest mean fitness on the robot, in the last episodes of it.
 
     Of those with all the fitness there is, the largest margin in ``members`` counts, models of all data: see
     `lasting_fitness`. The finalists of the result are the controllers of all rounds that are of its kind, with
@@ -393,15 +431,15 @@ class ChooseRound(ControllerSettings):
         found, settings = work.result(self.last), self.last.settings
         if found is None:
             raise Blocked(blocked_reason(self.last))
-        rounds = found.summary.rounds
+        rounds = found.summary.compared
         if not rounds:
             raise InvalidData("no round was recorded: allow more steps with --max-steps")
         evolution, members = settings.evolution, fitted(self.members, work)
         task = learned_task(evolution.task, self.learned, work)
         system = found.dataset.system
-        count = min(len(one.achieved) for one in rounds)
-        by_trial = np.stack([one.achieved[:count] for one in rounds])
-        scores = Scores(np.array([float(one.achieved.mean()) for one in rounds]), by_trial=by_trial)
+        count = min(len(one.fitness) for one in rounds)
+        by_trial = np.stack([one.fitness[:count] for one in rounds])
+        scores = Scores(np.array([float(one.fitness.mean()) for one in rounds]), by_trial=by_trial)
         seeds, judges = trial_seeds(cell_seed(settings.seed, "choose round"), count), runners(members, work)
 
         def margins(rows: IntArray) -> Array:
@@ -413,8 +451,8 @@ class ChooseRound(ControllerSettings):
 
         winner = rounds[best_candidate(scores, make_task(task).bind(system).worst, margins)]
         finalists = tuple(
-            Finalist(f"round {one.number}", 0, float(one.claimed.mean()), one.parameters, float(one.achieved.mean()))
-            for one in rounds
+            Finalist(f"round {one.number}", 0, float(one.claimed.mean()), one.parameters, float(one.fitness.mean()))
+            for one in found.summary.rounds
             if one.controller == winner.controller
         )
         return Champion(
@@ -441,5 +479,5 @@ def _load(path: Path) -> RoundsSoFar:
     return RoundsSoFar(Dataset.load(path / "data"), load_result(RoundsSummary, path / "rounds"))
 
 
-CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=6)
-CELL_KINDS["choose_round"] = CellKind(CONTROLLERS, version=3, tolerant=True)
+CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=7)
+CELL_KINDS["choose_round"] = CellKind(CONTROLLERS, version=4, tolerant=True)

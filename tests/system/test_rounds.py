@@ -28,8 +28,10 @@ def run(tmp_path_factory):
 def test_every_round_is_recorded_under_its_controller_and_what_it_achieves_is_kept(run):
     folder, report = run
     first, second = report.rounds.rounds
-    assert report.rounds.steps == report.rounds.first + first.steps.sum() + second.steps.sum()
-    assert report.rounds.rest.shape == (3,)
+    recorded = report.rounds.first + first.steps.sum() + second.steps.sum()
+    assert report.rounds.steps == recorded + report.rounds.steps_again
+    assert report.rounds.steps_again == sum(one.again.sum() for one in report.rounds.compared)  # a reward of 1 each
+    assert len(report.rounds.rest) == len(report.rounds.compared[0].again) >= 3
     assert report.rounds.rest.max() <= 20  # the pole falls
     assert report.rounds.better_than_rest
     assert len(first.steps) - len(first.achieved) == 4  # with noise on the commands, of at most 100 steps
@@ -41,8 +43,8 @@ def test_every_round_is_recorded_under_its_controller_and_what_it_achieves_is_ke
     names = [episode.name for part in (report.data.training, report.data.test) for episode in part]
     assert sum(name.startswith("round-2-") for name in set(names)) == len(second.steps)
     chosen = load_champion((folder / report.controllers["rounds"]).with_suffix(""))
-    most = max(one.achieved.mean() for one in report.rounds.rounds)
-    best = [one.parameters for one in report.rounds.rounds if one.achieved.mean() >= 0.99 * most]
+    most = max(one.again.mean() for one in report.rounds.compared)
+    best = [one.parameters for one in report.rounds.compared if one.again.mean() >= 0.99 * most]
     assert any(np.array_equal(chosen.parameters, parameters) for parameters in best)
     assert [one.behaviour_class for one in chosen.finalists] == ["round 1", "round 2"]
 

@@ -16,7 +16,7 @@ COLUMNS = ("round", "steps\nin all", "steps an\nepisode", "claimed", "achieved",
 class RoundPart(Part):
     """One round: ``claimed`` in the models, ``achieved`` and ``steps`` of each episode, ``errors`` of each model.
 
-    ``parameters`` are those of ``controller``.
+    ``parameters`` are those of ``controller``. ``again`` is the fitness in further episodes after the last round.
     """
 
     number: int
@@ -26,13 +26,13 @@ class RoundPart(Part):
     achieved: Numbers
     steps: Numbers
     errors: dict[str, Number]
+    again: Numbers | None
 
 
 class RoundsPart(Part):
     """Rounds of recording after the ``first`` one, in steps, whose episodes have a median of ``first_episode`` steps.
 
-    ``ended`` is the reason why no further round was made. ``rest`` is the fitness of controls at rest in each judged
-    episode.
+    ``ended`` is the reason why no further round was made. ``rest`` is the fitness of controls at rest.
     """
 
     first: int
@@ -64,7 +64,7 @@ def rounds_table(report: ComparisonResults) -> TableElement | None:
                 f"{total}",
                 f"{one.steps.mean():.0f}",
                 three_digits(float(one.claimed.mean())),
-                three_digits(float(one.achieved.mean())),
+                _achieved(one),
                 _errors(one),
             )
         )
@@ -81,8 +81,8 @@ def rounds_table(report: ComparisonResults) -> TableElement | None:
 NOTE = (
     "Claimed, achieved: mean fitness in the models and in the recorded episodes, in both with noise on the commands if "
     "every episode has it, else without. "
-    "Error: of the models of the round on its new episodes, in standard deviations. Rest: controls at rest, in three "
-    "episodes that are not recorded."
+    "Again: in further episodes after the last round, without noise, of those that may be the best; rest: controls at "
+    "rest. Error: of the models of the round on its new episodes, in standard deviations."
 )
 
 
@@ -113,6 +113,11 @@ def _chosen_round(report: ComparisonResults) -> int | None:
         if ROUNDS in parameters and np.array_equal(one.parameters, parameters[ROUNDS])
     ]
     return found[0] if found else None
+
+
+def _achieved(one: RecordingRound) -> str:
+    found = three_digits(float(one.achieved.mean()))
+    return found if one.again is None else f"{found}\nagain {three_digits(float(one.again.mean()))}"
 
 
 def _errors(one: RecordingRound) -> str:

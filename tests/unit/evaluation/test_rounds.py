@@ -23,7 +23,7 @@ from evaluation.planning import plan_comparison
 from evaluation.report.report import brief, to_html
 from evaluation.report.sections.controllers import fitness_table
 from evaluation.report.sections.rounds import rounds_sentence, rounds_table
-from evaluation.rounds import RecordingRound, RoundsSummary, reason_to_end, round_to_continue
+from evaluation.rounds import RecordingRound, RoundsSummary, reason_to_end, round_to_continue, rounds_to_try_again
 from evaluation.running import with_further_families
 from sysid_evo.data import Dataset
 from sysid_evo.engine import Rollouts
@@ -262,12 +262,13 @@ def with_rounds(summary):
 
 def test_the_report_has_a_row_for_each_round_and_says_why_there_are_no_more():
     ended, rest = "1900 recorded steps are the most", np.array([3.0, 4.0])
-    shown = with_rounds(RoundsSummary(1600, 7, ROUNDS, ended, rest))
+    rounds = (ROUNDS[0], replace(ROUNDS[1], again=np.array([13.0, 15.0])), ROUNDS[2])
+    shown = with_rounds(RoundsSummary(1600, 7, rounds, ended, rest))
     table = rounds_table(shown)
     assert [row[0] for row in table.rows] == ["first", "1", "2", "3", "rest"]
     assert [row[1] for row in table.rows] == ["1600", "1900", "2200", "2500", "–"]
     assert table.rows[-1][4] == "3.50"
-    assert table.rows[2][3:] == ("20.0", "20.0", "a 0.300")
+    assert table.rows[2][3:] == ("20.0", "20.0\nagain 14.0", "a 0.300")
     sentence = rounds_sentence(shown)
     assert sentence.startswith("Half of the episodes of the first recording end within 7 steps")
     assert sentence.endswith("claims that held: round 2; no further round: 1900 recorded steps are the most.")
@@ -279,14 +280,57 @@ def test_the_report_has_a_row_for_each_round_and_says_why_there_are_no_more():
     assert "forecast, the only figure by which" in fitness_table(replace(shown, rounds=None)).note
 
 
-def test_a_baseline_is_chosen_only_if_controls_at_rest_achieved_more_than_the_controller_of_rounds():
+def test_a_baseline_is_chosen_only_if_controls_at_rest_achieved_more_than_the_controllers_tried_again():
     rows = {"rounds": {"a": -20.0, "b": -21.0}, "rest": {"a": -12.0, "b": -12.0}}
     found = report(transfer=matrix(rows, against={"rounds": ("a", "b")}))
     assert found.transfer.pick == "rest"
-    for rest, pick in (([-9.0, -8.0], "rounds"), ([-4.0, -4.0], "rest")):
-        summary = RoundsSummary(100, 50, (made(1, [-20.0, -21.0], [-8.0, -7.0]),), rest=np.array(rest))
+    lucky = replace(made(1, [-20.0] * 2, [-2.0, -3.0]), again=np.array([-8.0, -7.0]))
+    others = made(2, [-20.0] * 2, [-4.0, -4.0])  # it was not tried again
+    for rest, pick in (([-9.0, -8.0], "rounds"), ([-5.0, -5.0], "rest")):
+        summary = RoundsSummary(100, 50, (lucky, others), rest=np.array(rest))
         assert replace(found, rounds=summary).transfer.pick == pick
     assert replace(found, rounds=RoundsSummary(first=100, first_episode=50)).transfer.pick == "rest"
+
+
+def test_those_are_tried_again_that_may_be_the_best_the_latest_of_equals_first():
+    spread = np.array([-2.0, 0.0, 2.0])  # a standard error of 1.15, of a difference 1.63
+    means = (9.0, 7.0, 10.0, 10.0, 6.5)
+    rounds = [made(number, spread, spread + level) for number, level in enumerate(means, 1)]
+    assert [one.number for one in rounds_to_try_again(rounds)] == [4, 3, 1, 2]  # the fifth is 3.5 below
+    assert [one.number for one in rounds_to_try_again([*rounds, made(6, spread, spread + 10.0)])] == [6, 4, 3, 1]
+    assert [
+        one.number for one in rounds_to_try_again([made(1, [9.0] * 2, [9.0] * 2), made(2, [8.0] * 2, [8.0] * 2)])
+    ] == [1]
+
+
+@pytest.mark.parametrize(("left", "tried", "episodes"), [(4000, 2, 20), (1000, 2, 5), (500, 1, 5), (250, 0, 3)])
+def test_the_steps_left_decide_how_many_controllers_are_tried_again_and_in_how_many_episodes(left, tried, episodes):
+    planned, *_ = plan_comparison(Experiment(robot=ROBOT, rounds=2, max_steps=2000)).plan.of_kind("round")
+    first = 2000 - 200 * 2 - left  # two rounds of two episodes of 100 steps
+    again, seeds = [], []
+
+    class Cart:
+        def runner(self, work, *, delay):
+            return self
+
+        def bind(self, law, task):
+            def drive(parameters, trials):
+                again.append(float(parameters[0, 0]) if parameters.size else 0.0)
+                seeds.append(trials)
+                lasts = np.full((1, len(trials)), 100)
+                return Rollouts(fitness=lasts / 10.0, survived=lasts, clipped=None, task_state=None, engine="")
+
+            return drive
+
+    settings = replace(planned.settings, robot=Cart(), max_steps=2000)
+    summary = RoundsSummary(first, 80, (made(1, [9.0] * 2, [9.0] * 2), made(2, [9.0] * 2, [9.0] * 2)))
+    found = settings.tried_again(summary, None, system(), Spec.parse('environment(id="CartPole-v1")'))
+    assert again == [*[2.0, 1.0][:tried], 0.0]  # the last is at rest
+    assert all(len(trials) == episodes for trials in seeds)
+    assert [one.again is not None for one in found.rounds] == [tried > 1, tried > 0]
+    assert found.steps_again == tried * episodes * 100
+    assert found.rest.tolist() == [10.0] * episodes
+    assert found.steps <= 2000
 
 
 def test_the_controller_with_the_highest_recorded_fitness_is_chosen_among_all_rounds():
@@ -302,6 +346,9 @@ def test_the_controller_with_the_highest_recorded_fitness_is_chosen_among_all_ro
     assert [(one.behaviour_class, one.fitness, one.forecast) for one in chosen.finalists] == [
         ("round 1", 30.0, 9.0), ("round 2", 20.0, 20.0), ("round 3", 40.0, 12.0),
     ]  # fmt: skip
+    again = [replace(one, again=np.full(3, level)) for one, level in zip(ROUNDS[1:], (9.0, 10.0), strict=True)]
+    retried = replace(found, summary=replace(found.summary, rounds=(ROUNDS[0], *again)))
+    assert replace(cell.settings, members=()).compute(Everything(retried)).parameters[0] == 3.0  # not by chance
     others = replace(
         found, summary=replace(found.summary, rounds=(replace(ROUNDS[0], controller="feed_forward"), *ROUNDS[1:]))
     )
