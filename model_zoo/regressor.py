@@ -32,6 +32,8 @@ from sysid_evo.validation.held_out import HeldOutError, best_candidate, count_fi
 
 FAR = 1e30
 """Limit of the scaled inputs: trees compare them in single precision."""
+FAR_WORSE = 3.0
+"""Times the error of one step at which the outputs of a fitted regressor are taken for the other target."""
 
 
 @register_model("regressor")
@@ -107,7 +109,7 @@ class Regressor(StochasticModel):
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         seed = int(rng.integers(2**31))
         if self.fitted:
-            return self._use(kept_object(self.estimator))
+            return self._use(kept_object(self.estimator), dataset)
         pairs = lag_candidates(self.state_lags, self.control_lags)
         counter = Counter(progress, count_fits(pairs) * FOLDS + 1)
         blocks = HeldOutError.of(dataset)
@@ -153,14 +155,18 @@ class Regressor(StochasticModel):
         self.format_, data = written(regressor)
         self.stored_ = np.frombuffer(data, dtype=np.int8)
 
-    def _use(self, regressor: Any) -> Self:
+    def _use(self, regressor: Any, dataset: Dataset) -> Self:
         """Use a fitted ``regressor`` as it is. Raises `InvalidArgument` if its inputs or outputs are others."""
+        regressor = getattr(regressor, "best_estimator_", regressor)
         self.record_lags((0, 0))
         nx, names = self.system.nx, self.layout.input_names(self.system.state_names, self.system.control_names)
         self.added_ = np.full(nx, float(self.target == "change"))
         self.input_centre_, self.input_scale_, self.single_ = np.zeros(len(names)), np.ones(len(names)), False
         self.output_centre_, self.output_scale_ = np.zeros(nx), np.ones(nx)
         expected = f"regressor: expected a fitted one with the inputs {', '.join(names)} and {nx} outputs"
+        given = list(getattr(regressor, "feature_names_in_", names))
+        if given != names and set(given) & set(names):
+            raise InvalidArgument(f"{expected}, got the inputs {', '.join(given)}")
         self._keep(regressor)
         try:
             shape = np.shape(self._regressor.predict(np.zeros((2, len(names)))))
@@ -168,6 +174,19 @@ class Regressor(StochasticModel):
             raise InvalidArgument(f"{expected}: {error}") from error
         if shape not in ((2, nx), (2,) if nx == 1 else (2, nx)):
             raise InvalidArgument(f"{expected}, got outputs of shape {shape[1:]}")
+        data, spread = dataset.transitions(), deviation(dataset.transitions().state)
+        found = np.reshape(self._regressor.predict(np.hstack([data.state, data.control])), data.state.shape)
+        reached = {"change": data.state + found, "next_state": found}
+        errors = {
+            name: float(np.abs(self.system.difference(y, data.after) / spread).mean()) for name, y in reached.items()
+        }
+        likely = min(errors, key=lambda name: errors[name])
+        if errors[self.target] > FAR_WORSE * errors[likely]:
+            raise InvalidArgument(
+                f"regressor: its outputs are no {self.target} of the recorded states (errors of one step "
+                f"{errors[self.target]:.3g} standard deviations, as {likely} {errors[likely]:.3g}): pass "
+                f"as_model(thing, fitted=True).set_params(target={likely!r})"
+            )
         return self
 
     @cached_property

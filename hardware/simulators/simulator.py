@@ -185,7 +185,7 @@ class _Trials:
             ended[i] = over or late
             self.rewards[i].append(rewards[i])
             self.endings[i] = ending_of(over, late)
-        self.diverged |= ~np.isfinite(after).all(axis=1)
+        self.diverged |= ~(np.isfinite(after).all(axis=1) & np.isfinite(rewards))
         after = self.system.unwrap_towards(np.where(np.isfinite(after), after, self.state), self.state)
         return after, rewards, ended
 

@@ -525,6 +525,11 @@ def as_dataset(given: object, caller: str, *, of: System | None = None) -> Datas
         if of is not None and (here.state_names, here.control_names) != (of.state_names, of.control_names):
             names = [", ".join((*one.state_names, *one.control_names)) for one in (of, here)]
             raise IncompatibleSystem(f"{caller}: the model has the channels {names[0]}, the data have {names[1]}")
+        if of is not None and abs(here.dt - of.dt) > MAX_STEP_DEVIATION * of.dt:
+            raise IncompatibleSystem(
+                f"{caller}: the model makes steps of {of.dt:g} s, the data have {here.dt:g} s: fit it to such data, or "
+                "resample them"
+            )
         if of is not None and here.advance != of.advance:
             raise IncompatibleSystem(
                 f"{caller}: expected data {'with' if of.advance else 'without'} advance, as the model was fitted to; "

@@ -192,6 +192,9 @@ def test_a_step_without_a_number_ends_the_episode_and_is_left_out():
     found = GymnasiumRobot(id=STRAY, settings={"case": "nan"}).record(seed=0, duration=90.0)
     assert all(np.isfinite(episode.rewards).all() for episode in found.dataset)
     assert "steps were left out, since their numbers are not finite" in found.report.sentence
+    runner = GymnasiumRobot(id=STRAY, settings={"case": "nan"}).runner()
+    run = runner.bind(RecurrentNetwork(hidden=3), Counting(horizon=100))(FULL[:, :21], SEEDS, record=True)
+    assert all(np.isfinite(episode.rewards).all() for episode in run.trajectories)
 
 
 def test_an_environment_may_have_limits_that_it_exceeds_and_rewards_that_are_arrays():

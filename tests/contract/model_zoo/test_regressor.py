@@ -76,6 +76,13 @@ def test_a_fitted_regressor_is_used_as_it_is_and_equals_its_own_predictions(thro
     assert "was fitted in Python before and is used as it is" in model.fit_note
     given = as_model(forest, fitted=True)
     assert given.target == "change"
+    with pytest.raises(InvalidArgument, match=r"are no change of the recorded.*set_params\(target='next_state'\)"):
+        given.fit(throttle_car_data)
+    search = GridSearchCV(Ridge(), {"alpha": [1.0, 2.0]}, cv=2).fit(inputs, np.diff(run.states, axis=0))
+    assert as_model(search, fitted=True).fit(throttle_car_data).format_ == "skops"
+    search.best_estimator_.feature_names_in_ = np.array(throttle_car_data.system.control_names * 3)[: inputs.shape[1]]
+    with pytest.raises(InvalidArgument, match=r"expected a fitted one with the inputs .*, got the inputs "):
+        as_model(search, fitted=True).fit(throttle_car_data)
     assert with_preset(as_spec(given), "quick").parameters["control_lags"] is None, "it has the inputs that it has"
     with pytest.raises(InvalidArgument, match=r"expected a fitted one with the inputs .*expecting 4 features as input"):
         Regressor(estimator=Ridge().fit(inputs[:, :4], run.states[1:]), fitted=True).fit(throttle_car_data)
