@@ -148,6 +148,15 @@ def test_a_choice_that_is_worse_than_rest_is_no_good_choice_and_the_first_senten
     assert first_sentence(made, "Which controller to use?").startswith("a is worse than controls at rest")
 
 
+def test_better_than_rest_in_all_of_ten_trials_is_better_even_if_the_mean_at_rest_is_uncertain():
+    made = idle(9.0).matrix
+    key = ("rest", "car")
+    wide = replace(made.cells[key], fitness=made.cells["a", "car"].fitness - np.geomspace(0.01, 800.0, 10))
+    few = replace(wide, fitness=made.cells["a", "car"].fitness - np.append(np.full(9, -0.1), 800.0))
+    assert beats_rest(replace(made, cells={**made.cells, key: wide}), "a") is True
+    assert beats_rest(replace(made, cells={**made.cells, key: few}), "a") is False
+
+
 def test_as_good_as_rest_is_no_better_and_one_trial_goes_by_its_value():
     level = idle(9.5).matrix
     assert beats_rest(level, "a") is False
