@@ -111,6 +111,7 @@ class RandomStep:
     after: Array
     reward: float
     ended: bool
+    late: bool
     inside: Array
 
 
@@ -125,7 +126,13 @@ def random_steps(
         before, inside, action = observations.state(observation), _inside(env), env.action_space.sample()
         observation, reward, ended, late, _ = env.step(action)
         yield RandomStep(
-            before, action, observations.state(observation), float(np.asarray(reward).item()), bool(ended), inside
+            before,
+            action,
+            observations.state(observation),
+            float(np.asarray(reward).item()),
+            bool(ended),
+            bool(late),
+            inside,
         )
         if ended or late or (longest is not None and step % longest == 0):
             observation, _ = env.reset(seed=int(rng.integers(2**31)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, cast
@@ -20,7 +20,7 @@ from hardware.simulators.gymnasium_spaces import (
     observation_map,
     raw_interface,
 )
-from hardware.simulators.gymnasium_state import KeptSettings, StateSetter, random_steps, state_setter
+from hardware.simulators.gymnasium_state import KeptSettings, RandomStep, StateSetter, random_steps, state_setter
 from hardware.simulators.simulator import LONGEST_SEED
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
@@ -379,6 +379,16 @@ class TriedEnvironment:
         return control_channels(f"task environment: {self.id}", self.environment.action_space)
 
 
+def _time_limit(steps: Sequence[RandomStep]) -> int:
+    """Return the length of the longest episode whose time was up, 0 without one, for environments that declare none."""
+    longest = length = 0
+    for step in steps:
+        length += 1
+        longest = max(longest, length) if step.late else longest
+        length = 0 if step.late or step.ended else length
+    return longest
+
+
 @lru_cache(maxsize=32)
 def _tried(name: str, angle: str | None, settings: KeptSettings) -> TriedEnvironment:
     env = make_environment(name, settings.values)
@@ -388,7 +398,7 @@ def _tried(name: str, angle: str | None, settings: KeptSettings) -> TriedEnviron
     rewards = [one.reward for one in steps if np.isfinite(one.reward)] or [0.0]
     states = np.array([one.before for one in steps])
     spread = np.ptp(states, axis=0)
-    horizon = LONGEST if env.spec is None or env.spec.max_episode_steps is None else env.spec.max_episode_steps
+    horizon = (None if env.spec is None else env.spec.max_episode_steps) or _time_limit(steps) or LONGEST
     least = min(rewards) - 0.1 * (max(rewards) - min(rewards))
     scale = tuple(np.where(spread > 0.0, spread, 1.0).tolist())
     setter = state_setter(name, settings.values, observations)

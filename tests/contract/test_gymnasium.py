@@ -203,6 +203,10 @@ def test_an_environment_may_have_limits_that_it_exceeds_and_rewards_that_are_arr
     assert data.episodes[0].rewards is not None
 
 
+def test_a_trial_lasts_as_long_as_an_environment_that_limits_the_time_by_itself():
+    assert EnvironmentTask(id="Short-v0").horizon == 30
+
+
 def test_every_episode_ends_where_the_environment_ends_it(small):
     dataset = recorded(ROTOR, 100.0)
     speeds = [episode.states[:, 0] for episode in dataset]
