@@ -145,7 +145,10 @@ class PySindy(DynamicsModel):
     @property
     def fit_note(self) -> str:
         slow = "" if self._basis else "its library has no compiled form; it is evaluated by pysindy, which is slow"
-        return "; ".join(filter(None, (super().fit_note, "used as it is" if self.fitted else "", slow)))
+        empty = (
+            "" if self.coefficients_.any() else "all its coefficients are zero: lower the threshold of its optimizer"
+        )
+        return "; ".join(filter(None, (super().fit_note, "used as it is" if self.fitted else "", empty, slow)))
 
     def next_state(self, carry: Array, control: Array) -> Array:
         if self.discrete_:

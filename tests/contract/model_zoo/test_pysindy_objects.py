@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from sklearn.linear_model import Lasso
 
 from sysid_evo import as_model, load_model, save_model
 from sysid_evo.errors import ArtefactError, InvalidArgument
 from tests.fixtures.plants import pendulum
+from tests.fixtures.systems import ONE_STATE
 
 ps = pytest.importorskip("pysindy")
 STEPS = 40
@@ -68,6 +70,13 @@ def test_the_settings_of_the_object_are_used(swinging):
     assert not np.array_equal(smooth.coefficients_, plain.coefficients_)
     assert few.equations()[0].startswith("rate of angle = ")
     assert "[1/s^2] angle" in few.equations()[1]
+
+
+def test_an_object_without_any_term_and_one_with_a_regressor_for_a_single_state_are_fitted(swinging):
+    none = as_model(ps.SINDy(optimizer=ps.STLSQ(threshold=1e6))).fit(swinging, rng=0)
+    assert "all its coefficients are zero: lower the threshold" in none.fit_note
+    single = as_model(ps.SINDy(optimizer=Lasso(alpha=1e-3))).fit(ONE_STATE.recording(), rng=0)
+    assert single.coefficients_.shape[1] == 1
 
 
 def test_an_ensemble_depends_on_the_seed_alone(swinging):
