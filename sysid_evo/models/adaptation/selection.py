@@ -369,9 +369,10 @@ MAX_ERROR_WINDOWS = 800
 def held_out_error(cases: Sequence[tuple[Dynamics, Dataset]]) -> Array | None:
     """Return the root mean square error (nx,) of simulations of one second, in the units of the states.
 
-    ``cases`` are models of one family, each with its held-out data; None if some of these are too short.
+    ``cases`` are models of one family, each with its held-out data; the result is the median over the cases, since one
+    fit that fails would make every other condition look unchanged. None if some data are too short.
     """
-    squares = []
+    errors = []
     for model, held in cases:
         try:
             windows = AdaptationWindows.of(model, held)
@@ -380,8 +381,8 @@ def held_out_error(cases: Sequence[tuple[Dynamics, Dataset]]) -> Array | None:
         windows = windows[evenly_spaced(len(windows), MAX_ERROR_WINDOWS, nearest=True)]
         terms = CorrectionTerms.of(held)
         wrong = windows.errors(simulate_corrections(model, terms, np.zeros((1, *terms.shape)), windows))[0]
-        squares.append(((wrong * windows.scale) ** 2).reshape(-1, held.system.nx))
-    return np.asarray(np.sqrt(np.concatenate(squares).mean(axis=0)))
+        errors.append(np.sqrt(np.mean((wrong * windows.scale) ** 2, axis=(0, 1))))
+    return np.asarray(np.median(errors, axis=0))
 
 
 def unchanged_ratio(intervals: int) -> float:
