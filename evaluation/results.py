@@ -8,13 +8,22 @@ from datetime import date
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from evaluation.advice.evidence import ModelAdvice
 from evaluation.behaviour import DrivingSummary, driving_summaries
 from evaluation.exploitability.results import ModelExploitability, outside_shares
 from evaluation.linearisation import LinearResponse, OperatingPoint, linearised
 from evaluation.prediction.scores import ConditionError, Prediction, forecast_error
 from evaluation.rounds import ROUNDS, RoundsSummary
-from evaluation.transfer.forecast import Forecast, ModelForecast, best_choice, forecasts, model_forecasts
+from evaluation.transfer.forecast import (
+    Forecast,
+    ModelForecast,
+    best_choice,
+    forecasts,
+    measured_forecast,
+    model_forecasts,
+)
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import TransferSummary, chosen_by, summarise
 from sysid_evo.data import Dataset
@@ -76,12 +85,23 @@ class ComparisonResults(Displayed):
 
     @cached_property
     def forecasts(self) -> Mapping[str, Forecast]:
-        """Expected fitness of every controller on the robot, by its name."""
+        """Expected fitness of every controller on the robot, by its name.
+
+        Those of rounds and of rest come from episodes on the robot, where these are as long as its trials.
+        """
         if self.matrix is None:
             return {}
         models = () if self.prediction is None else self.prediction.models
         errors = {model.name: forecast_error(model) for model in models}
-        return forecasts(self.matrix, errors, outside_shares(self.exploitability))
+        found = forecasts(self.matrix, errors, outside_shares(self.exploitability))
+        if self.rounds is None or not self.rounds.whole:
+            return found
+        measured = dict.fromkeys(self.matrix.at_rest, (self.rounds.rest, 0.0))
+        parameters = {one.name: one.parameters for one in self.matrix.champions}
+        if (chosen := self.rounds.round_of(parameters.get(ROUNDS, np.empty(0)))) is not None:
+            measured[ROUNDS] = chosen.again, float(chosen.achieved.std(ddof=1))
+        known = {name: (fitness, spread) for name, (fitness, spread) in measured.items() if fitness is not None}
+        return {name: measured_forecast(one, *known[name]) if name in known else one for name, one in found.items()}
 
     @cached_property
     def model_forecasts(self) -> Mapping[str, ModelForecast]:

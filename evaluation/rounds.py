@@ -72,7 +72,7 @@ class RoundsSummary:
 
     ``ended`` is the reason why no further round is made, empty if there is none. ``rest`` (K,) is the fitness of
     controls at rest on the robot, measured after the last round, in the episodes of ``again``; None before. The latter
-    have ``steps_again`` steps in all.
+    have ``steps_again`` steps in all, and are ``whole`` if they are as long as a trial of the task.
     """
 
     first: int
@@ -81,6 +81,7 @@ class RoundsSummary:
     ended: str = ""
     rest: Array | None = None
     steps_again: int = 0
+    whole: bool = False
 
     @property
     def steps(self) -> int:
@@ -91,6 +92,10 @@ class RoundsSummary:
     def compared(self) -> tuple[RecordingRound, ...]:
         """The rounds among whose controllers one is chosen: those tried again, all of them if none was."""
         return tuple(one for one in self.rounds if one.again is not None) or self.rounds
+
+    def round_of(self, parameters: Array) -> RecordingRound | None:
+        """Return the round whose controller has these ``parameters``, None without."""
+        return next((one for one in self.rounds if np.array_equal(one.parameters, parameters)), None)
 
     @property
     def better_than_rest(self) -> bool:

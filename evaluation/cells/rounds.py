@@ -266,6 +266,7 @@ class Round(CellSettings):
             ),
             rest=run(idle.controller.text, idle.parameters).fitness[0],
             steps_again=sum(int(one.survived.sum()) for one in runs.values()),
+            whole=task.bind(system).horizon == make_task(self.evolution.task).bind(system).horizon,
         )
 
 

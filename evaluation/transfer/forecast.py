@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +21,7 @@ class Forecast:
 
     ``weights`` are the weights of the models; they add up to 1. ``outside`` is the share of the time outside the data,
     a mean over the models by their weights; None if it is not known. No measurement on the robot is used, except for
-    the recordings that the models were fitted to and tested on.
+    the recordings that the models were fitted to and tested on, and for the last episodes of rounds.
     """
 
     controller: str
@@ -36,6 +36,18 @@ class Forecast:
         error = achieved.standard_error if np.isfinite(achieved.standard_error) else 0.0
         below, above = np.hypot(self.value - self.low, 2.0 * error), np.hypot(self.high - self.value, 2.0 * error)
         return bool(self.value - below <= achieved.value <= self.value + above)
+
+
+def measured_forecast(forecast: Forecast, fitness: Array, spread: float) -> Forecast:
+    """Return the forecast of a controller from its ``fitness`` (K,) in trials on the robot, made before it was chosen.
+
+    ``spread`` is a standard deviation of one trial that is known from elsewhere; the larger one counts.
+    """
+    from scipy.special import stdtrit
+
+    count, deviation = len(fitness), max(spread, float(fitness.std(ddof=1)))
+    half, value = float(stdtrit(count - 1, 0.95)) * deviation / np.sqrt(count), float(fitness.mean())
+    return replace(forecast, value=value, low=value - half, high=value + half)
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ def test_every_round_is_recorded_under_its_controller_and_what_it_achieves_is_ke
     assert len(report.rounds.rest) == len(report.rounds.compared[0].again) >= 3
     assert report.rounds.rest.max() <= 20  # the pole falls
     assert report.rounds.better_than_rest
+    assert not report.rounds.whole  # 250 steps of 500
     assert len(first.steps) - len(first.achieved) == 4  # with noise on the commands, of at most 100 steps
     assert first.steps[:4].max() <= 100
     assert 100 < first.steps[4:].max() <= 250  # a twentieth of all

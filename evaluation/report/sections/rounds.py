@@ -107,12 +107,8 @@ def rounds_sentence(report: ComparisonResults) -> str:
 def _chosen_round(report: ComparisonResults) -> int | None:
     """Return the number of the round whose controller was chosen among all rounds."""
     parameters = {} if report.matrix is None else {one.name: one.parameters for one in report.matrix.champions}
-    found = [
-        one.number
-        for one in (() if report.rounds is None else report.rounds.rounds)
-        if ROUNDS in parameters and np.array_equal(one.parameters, parameters[ROUNDS])
-    ]
-    return found[0] if found else None
+    found = None if report.rounds is None else report.rounds.round_of(parameters.get(ROUNDS, np.empty(0)))
+    return None if found is None else found.number
 
 
 def _achieved(one: RecordingRound) -> str:

@@ -292,6 +292,27 @@ def test_a_baseline_is_chosen_only_if_controls_at_rest_achieved_more_than_the_co
     assert replace(found, rounds=RoundsSummary(first=100, first_episode=50)).transfer.pick == "rest"
 
 
+def test_the_forecast_of_rounds_and_of_rest_is_their_mean_in_whole_episodes_tried_again():
+    rows = {"rounds": {"a": -20.0, "b": -21.0}, "random": {"a": 5.0, "b": 5.0}, "rest": {"a": -12.0, "b": -12.0}}
+    found = report(transfer=matrix(rows, against={"rounds": ("a", "b")}))
+    first, *others = found.matrix.champions
+    assert first.name == "rounds"
+    of_first_round = replace(first, parameters=np.full(5, 1.0))
+    found = replace(found, matrix=replace(found.matrix, champions=(of_first_round, *others)))
+    chosen = replace(made(1, [-20.0] * 2, [-3.0, -7.0]), again=np.array([-8.0, -7.0, -6.0]))
+    rounds = (chosen, made(2, [0.0] * 2, [0.0] * 2))
+    summary = RoundsSummary(100, 50, rounds, rest=np.full(3, -9.0), whole=True)
+    known = replace(found, rounds=summary).forecasts
+    half = 2.920 * np.sqrt(8.0) / np.sqrt(3.0)  # the spread of the judged episodes is the larger one
+    own = known["rounds"]
+    assert (own.low, own.value, own.high) == pytest.approx((-7.0 - half, -7.0, -7.0 + half), abs=1e-2)
+    assert (known["rest"].low, known["rest"].value) == (-9.0, -9.0)
+    assert known["random"] == found.forecasts["random"]
+    assert replace(found, rounds=replace(summary, whole=False)).forecasts == found.forecasts  # other trials
+    not_again = replace(summary, rounds=(replace(chosen, again=None),))
+    assert replace(found, rounds=not_again).forecasts["rounds"] == found.forecasts["rounds"]
+
+
 def test_those_are_tried_again_that_may_be_the_best_the_latest_of_equals_first():
     spread = np.array([-2.0, 0.0, 2.0])  # a standard error of 1.15, of a difference 1.63
     means = (9.0, 7.0, 10.0, 10.0, 6.5)
@@ -331,6 +352,7 @@ def test_the_steps_left_decide_how_many_controllers_are_tried_again_and_in_how_m
     assert found.steps_again == tried * episodes * 100
     assert found.rest.tolist() == [10.0] * episodes
     assert found.steps <= 2000
+    assert found.whole
 
 
 def test_the_controller_with_the_highest_recorded_fitness_is_chosen_among_all_rounds():
