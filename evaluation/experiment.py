@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypedDict
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -13,7 +13,9 @@ from sysid_evo.errors import InvalidArgument, Meaningless, UnknownName, did_you_
 from sysid_evo.files import parsed_toml, write_atomically
 from sysid_evo.registry import Spec, make_robot
 from sysid_evo.settings import Seconds, setting
-from sysid_evo.system import System
+
+if TYPE_CHECKING:
+    from sysid_evo.system import System
 
 FILE = "experiment.toml"
 DEFAULT_ROBOT = "emulated_car"

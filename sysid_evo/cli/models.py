@@ -115,7 +115,7 @@ def speed(model: sysid_evo.DynamicsModel) -> dict[str, Any]:
     began = time.perf_counter()
     run = sysid_evo.rollout(model, controller, candidates, task, seeds, threads=1)
     rate = SPEED_ROLLOUTS * SPEED_STEPS / (time.perf_counter() - began) / 1e6
-    return {"million_steps_per_second": round(rate, 2), "engine": run.engine}
+    return {"million_steps_per_second": float(f"{rate:.3g}"), "engine": run.engine}
 
 
 def card_table(card: dict[str, Any]) -> list[Any]:
