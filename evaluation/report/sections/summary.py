@@ -19,8 +19,9 @@ def page_title(report: ComparisonResults) -> str:
     if settings.get("title") or not task:
         return report.title
     made = [] if report.matrix is None else [one for one in report.matrix.champions if one.against]
-    counts = f"{len(report.models)} models" + (f", {len(made)} controllers" if made else "")
-    return f"{settings.get('robot') or report.data.name or 'own data'}, {task}: {counts}"
+    numbers = {"model": len(report.models), "controller": len(made)}
+    counts = [f"{count} {one}{'' if count == 1 else 's'}" for one, count in numbers.items() if count or one == "model"]
+    return f"{settings.get('robot') or report.data.name or 'own data'}, {task}: {', '.join(counts)}"
 
 
 def facts(report: ComparisonResults) -> str:

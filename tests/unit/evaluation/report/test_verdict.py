@@ -371,6 +371,8 @@ def test_the_title_names_robot_task_models_and_controllers_unless_a_title_was_ch
     made = judged()
     known = replace(made, settings={"robot": "car", "task": "point_to_point(horizon=60)"})
     assert page_title(known) == "car, point_to_point: 0 models, 2 controllers"
+    one = replace(known, matrix=replace(known.matrix, champions=known.matrix.champions[:1]))
+    assert page_title(one) == "car, point_to_point: 0 models, 1 controller"
     assert page_title(replace(known, settings={**known.settings, "title": "Made up"})) == page_title(made) == "Made up"
 
 
