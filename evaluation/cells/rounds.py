@@ -150,6 +150,9 @@ class Round(CellSettings):
     def cell(self) -> Cell[Round]:
         """Return the cell of the round."""
         evolution, steps = self.evolution, SEARCH_STEPS
+        assert self.robot.robot is not None
+        if make_robot(self.robot.robot).system.motion is not None:
+            steps = make_task(evolution.task).horizon
         rollouts = evolution.repeats * evolution.generations * evolution.trials * 50 * len(self.specs)
         fits = (Fit(spec, self.data, self.seed, self.preset).cell() for spec in self.specs)
         return Cell(

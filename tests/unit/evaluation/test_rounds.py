@@ -29,6 +29,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.engine import Rollouts
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import ControllerEvolution
+from sysid_evo.evolution.margins import with_horizon
 from sysid_evo.plan import Store
 from sysid_evo.registry import Spec, make_robot, robot_spec
 from tests.fixtures.known_models import Known, fitted, recording
@@ -182,6 +183,15 @@ def test_the_longer_a_controller_lasts_the_fewer_episodes_are_recorded(lasts, fe
     driven = record_until(drive, np.zeros(2), np.arange(10), 1000, fewest)
     assert len(driven) == episodes
     np.testing.assert_array_equal(began, np.arange(episodes))
+
+
+@pytest.mark.parametrize(("robot", "longer"), [("emulated_car", True), ("cart_pole", False)])
+def test_the_planned_time_of_a_round_follows_the_trials_of_a_robot_that_moves(robot, longer):
+    planned, *_ = plan_comparison(Experiment(robot=robot, rounds=2)).plan.of_kind("round")
+    evolution = planned.settings.evolution
+    task = with_horizon(evolution.task, 100_000)
+    long = replace(planned.settings, evolution=replace(evolution, task=task)).cell()
+    assert (long.expected_seconds > 2.0 * planned.expected_seconds) == longer
 
 
 def test_rounds_need_a_robot_that_is_a_program():
