@@ -92,7 +92,7 @@ class PlanProgress(Observer):
         )
         self._all: TaskID | None = None
         self._current: dict[str, _Current] = {}
-        self._cells = self._ended = self._failed = 0
+        self._cells = self._ended = self._failed = self._left_out = 0
         self._expected: dict[str, float] = {}
         self._awaited = Counter(self._group(cell) for cell in cells)
         self._grouped: dict[str, list[float]] = {}
@@ -109,6 +109,9 @@ class PlanProgress(Observer):
         self._bars.stop()
         for group, seconds in self._grouped.items():
             self._print_group(group, len(seconds), sum(seconds))
+        if self._left_out:
+            steps = "1 step was" if self._left_out == 1 else f"{self._left_out} steps were"
+            problems.print(f"{steps} left out, because other steps failed", highlight=False)
         if kind is not None and issubclass(kind, KeyboardInterrupt):
             titles = [one.title for one in self._current.values()]
             further = f" and {len(titles) - NAMED} more" if len(titles) > NAMED else ""
@@ -165,11 +168,14 @@ class PlanProgress(Observer):
     def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:
         self._ended += 1
         self._failed += reason is not None
+        begun = cell.digest in self._expected
         if cell.digest in self._expected:
             expected = self._expected.pop(cell.digest)
             self._expected_done += expected
             self._left = max(0.0, self._left - expected)
-        if not cached or reason is not None:
+        if reason is not None and not cached and not begun:
+            self._left_out += 1  # a need has failed, which has a line of its own
+        elif not cached or reason is not None:
             self._end(cell.digest, self._title(cell), reason, self._group(cell))
         self._end_of_group(self._group(cell))
         self._show_all()

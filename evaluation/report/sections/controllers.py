@@ -362,9 +362,12 @@ def _command(report: ComparisonResults, *words: str) -> str:
     return shlex.join(["sysid-evo", *words, *plugins])
 
 
+QUESTION = "Which controller to use?"
+
+
 def headline(report: ComparisonResults) -> Answer:
     """Return which controller to use, in one answer."""
-    question, summary = "Which controller to use?", report.transfer
+    question, summary = QUESTION, report.transfer
     if summary is None:
         return Answer(question, "Not known", (_absent(report)[0],))
     assert report.matrix is not None
@@ -374,7 +377,7 @@ def headline(report: ComparisonResults) -> Answer:
         why = (NO_BETTER.format(summary.pick), _better(summary.controller(summary.pick), report), _to_record(report))
         return Answer(question, "None", tuple(filter(None, why)), "warn")
     if summary.pick is None:
-        return Answer(question, "Not known", (NO_OTHER_FAMILY,))
+        return _best_measured(report) or Answer(question, "Not known", (NO_OTHER_FAMILY,))
     pick = summary.controller(summary.pick)
     unit = f" {report.matrix.unit}" if report.matrix.unit else ""
     found = report.forecasts.get(pick.name)
@@ -398,6 +401,25 @@ def headline(report: ComparisonResults) -> Answer:
     return Answer(question, pick.name, tuple(filter(None, (*sentences, guess))), tone, command)
 
 
+def _best_measured(report: ComparisonResults) -> Answer | None:
+    """Return the controller that achieves the most on the robot, without forecasts; None if none was run there."""
+    matrix, summary = report.matrix, report.transfer
+    assert matrix is not None
+    assert summary is not None
+    trivial = (*matrix.at_rest, *matrix.at_random)
+    tried = [c for c in summary.controllers if c.achieved is not None and c.name not in trivial]
+    tried = [c for c in tried if not c.evolved_on_robot]
+    best = max(tried, key=lambda one: -np.inf if one.achieved is None else one.achieved.value, default=None)
+    if best is None or best.achieved is None:
+        return None
+    count = f", the most of {len(tried)} controllers" if len(tried) > 1 else ""
+    unit = f" {matrix.unit}" if matrix.unit else ""
+    measured = f"Measured {sized(best.achieved)}{unit} on {matrix.robot}{count}."
+    sentences = (_idle(matrix, best.name), measured, _claim(best), NO_OTHER_FAMILY)
+    tone: Tone = "bad" if best.exploited or beats_rest(matrix, best.name) is False else "warn"
+    return Answer(QUESTION, best.name, tuple(filter(None, sentences)), tone, use_command(report, best.name) or "")
+
+
 def _share_of(pick: ControllerSummary, summary: TransferSummary) -> str:
     """Return how much of the fitness of a search on the robot itself a controller achieves; empty without one."""
     reference = next((c for c in summary.controllers if c.evolved_on_robot and c.achieved is not None), None)
@@ -416,7 +438,7 @@ def _claim(pick: ControllerSummary) -> str:
     return f"Its claim of {value_of(pick.claimed)} {held}."
 
 
-NO_OTHER_FAMILY = "No controller can be scored by models of other families. Add a family with --models."
+NO_OTHER_FAMILY = "No forecast: no controller can be scored by models of other families. Add one with --models."
 LOOK_AT_THE_REWARD = (
     "No controller does better than controls at rest. Look at the reward, which may not ask for motion, or evolve "
     "longer."

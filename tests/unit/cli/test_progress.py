@@ -225,3 +225,13 @@ def test_work_that_has_not_said_how_long_it_is_shows_no_numbers(shown, clock):
         clock.sleep(11.0)
         bars.advance(0, 0)
     assert "run linear on robot: running" in written.getvalue()
+
+
+def test_steps_that_need_a_failed_one_share_a_line(shown):
+    written = shown(terminal=False)
+    with PlanProgress() as bars:
+        fit, score, run = number(1, label="fit"), number(2, label="score"), number(3, label="run")
+        bars.start(fit)
+        finish(bars, fit, reason="boom")
+        finish(bars, score, run, reason="needs fit, which failed")
+    assert drawn(written)[-2:] == ["failed count fit: boom", "2 steps were left out, because other steps failed"]

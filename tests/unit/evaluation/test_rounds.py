@@ -119,8 +119,8 @@ def test_rounds_search_in_the_named_models_alone():
     round_, *_ = planned.plan.of_kind("round")
     assert [spec.label for spec in round_.settings.specs] == ["narx"]
     assert tuple(planned.fits) == ("linear", "narx")
-    with pytest.raises(InvalidArgument, match="searched: expected labels"):
-        plan_comparison(asked.model_copy(update={"searched": ("other",)}))
+    with pytest.raises(InvalidArgument, match="searched: expected some of the models linear, narx, got narx, other"):
+        plan_comparison(asked.model_copy(update={"searched": ("narx", "other")}))
 
 
 def test_a_planar_simulator_is_recorded_in_rounds():

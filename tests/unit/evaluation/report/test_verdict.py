@@ -100,7 +100,8 @@ SENTENCES = {
     "Its claim of 10.00 cannot be checked.": (lambda: driven(robot_trials=1), driven),
     "Its claim of 10.00 is exploited.": (lambda: on_models(4.9, 5.1), driven),
     "Nothing was run on a robot.": (lambda: on_models(9.1, 8.9), driven),
-    "No controller can be scored by models of other families. Add a family with --models.": (
+    "Measured 8.00 (7.93 to 8.07) waypoints on car. Its claim of 9.00 is exploited. No forecast: no controller can be "
+    "scored by models of other families. Add one with --models.": (
         lambda: on_robot({"a": {"a": 9.0, "car": 8.0}}),
         driven,
     ),
