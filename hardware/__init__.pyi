@@ -7,7 +7,6 @@ from .emulation.simulated_robot import in_real_time
 from .emulation.tracked_robots import ModelRobot
 from .preflight import check_driving, check_recording
 from .recording.journal import JOURNALS, Recorder, recorder_of
-from .recording.manoeuvres import measuring_manoeuvres
 from .recording.record import save_raw_log, store_journals
 from .robot import Robot, find_robot
 from .run_report import LoopReport, StopReason, StopRequest
@@ -33,7 +32,6 @@ __all__ = [
     "driven_by_hand",
     "find_robot",
     "in_real_time",
-    "measuring_manoeuvres",
     "play_back",
     "recorder_of",
     "save_raw_log",

@@ -99,18 +99,6 @@ class Robot(ABC):
         check_loop(self.system)
         return excitation_manoeuvres(self.system, duration=duration, rng=rng)
 
-    def record_manoeuvres(
-        self,
-        manoeuvres: Sequence[Manoeuvre],
-        *,
-        seed: int,
-        folder: Path | None = None,
-        stop: StopRequest | None = None,
-        progress: Progress | None = None,
-    ) -> RecordingResult:
-        """Drive these manoeuvres and record the response. Raises `LinkLost` or `InvalidData` if it is too short."""
-        return self._record_run(manoeuvres, RecordingJob(seed, folder, stop or StopRequest(), progress))
-
     def record(
         self,
         *,

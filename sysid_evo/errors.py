@@ -126,7 +126,6 @@ RENAMED: Mapping[str, tuple[str, ...]] = {
     "most_steps": ("max_steps",),
     "neural_ode_history": ("neural_ode(lag_search=all)",),
     "offered_lags": ("lag_options",),
-    "offsets": ("random_effects",),
     "only": ("stop_after",),
     "over": ("window",),
     "polish": ("polish_generations",),

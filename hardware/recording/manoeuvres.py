@@ -1,4 +1,4 @@
-"""Scripted manoeuvres: excitation of driving robots, signals for any system, measuring manoeuvres."""
+"""Scripted manoeuvres: excitation of driving robots, signals for any system."""
 
 from __future__ import annotations
 
@@ -245,65 +245,3 @@ def _legal(channel: Channel, value: float) -> float:
     if channel.levels is None:
         return value
     return min(channel.levels, key=lambda level: abs(level - value))
-
-
-KINDS = ("step", "coast_down", "circle")
-HELD = {"step": 4.0, "coast_down": 2.0, "circle": 5.0}
-"""Time in s for which a command is held, for a system with a motion; for others, 80 samples."""
-SAMPLES = 80
-REST = 3.0  # s without a command after it, in which the body comes to rest
-
-
-def measuring_manoeuvres(system: System, kind: str) -> list[Manoeuvre]:
-    """Return the manoeuvres of one ``kind``, each from rest and back to it, named KIND-CONTROL-VALUE.
-
-    After Abbeel et al. (2006); `sysid_evo.data.response` evaluates the responses. ``step``: each control in turn goes
-    to each of its ends, the others at rest, and back; for a system with a motion, the drive only. ``coast_down``: full
-    speed in each direction, then no command. ``circle``: left and right at full and, if the drive is continuous, at
-    half speed; forwards, and backwards if possible. The last two need a motion. Raises `InvalidArgument`.
-    """
-    if kind not in KINDS:
-        raise InvalidArgument(f"manoeuvre: expected one of {', '.join(KINDS)}, got {kind!r}")
-    if system.nu == 0:
-        raise InvalidArgument("manoeuvre: expected a system with at least one control, got none")
-    if kind != "step" and system.motion is None:
-        raise InvalidArgument(f"manoeuvre {kind}: expected a system that drives, this one has no motion; use step")
-    if kind == "circle" and system.nu < 2:
-        raise InvalidArgument("manoeuvre circle: expected a drive and a steering control, got one control")
-    made: list[Manoeuvre] = []
-    for control, value, steer in _commands(system, kind):
-        command = system.neutral_control.copy()
-        command[control] = value
-        name = f"{kind}-{system.control_names[control]}-{value:g}"
-        if steer is not None:
-            command[-1] = steer
-            name = f"{name}-{system.control_names[-1]}-{steer:g}"
-        held = HELD[kind] if system.motion is not None else SAMPLES * system.dt
-        rest = REST if system.motion is not None else held
-        script: list[Segment] = [(system.neutral_control, LEAD), (command, held), (system.neutral_control, rest)]
-        rows = chain.from_iterable([values] * max(1, round(seconds / system.dt)) for values, seconds in script)
-        made.append(Manoeuvre(name, np.array(list(rows))))
-    return made
-
-
-def _commands(system: System, kind: str) -> Iterator[tuple[int, float, float | None]]:
-    """Yield control, value and steering of each manoeuvre."""
-    if kind == "step" and system.motion is None:
-        for control, channel in enumerate(system.controls):
-            yield from ((control, value, None) for value in _ends(channel))
-        return
-    channel = system.controls[0]
-    drives = _ends(channel)
-    if kind != "circle":
-        yield from ((0, value, None) for value in drives)
-        return
-    if channel.levels is None:
-        drives = [*drives, *(0.5 * (value + channel.neutral) for value in drives)]
-    for value in drives:
-        yield from ((0, value, steer) for steer in _ends(system.controls[-1])[::-1])
-
-
-def _ends(channel: Channel) -> list[float]:
-    """Return the highest and the lowest value of a control, without one that is neutral."""
-    low, high = extremes(channel)[[0, -1]].tolist()
-    return [value for value in (high, low) if value != channel.neutral]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -68,10 +67,6 @@ class SimulatorRobot(Robot):
         """Return none, since excitation of an environment depends on its state; a short ``duration`` is an error."""
         samples_each(self.simulator, duration)
         return []
-
-    def _record_run(self, manoeuvres: Sequence[Manoeuvre], job: RecordingJob) -> RecordingResult:
-        """Raise `IncompatibleSystem`: the excitation of an environment depends on its state."""
-        raise IncompatibleSystem(f"{self.name} is an environment, which is recorded without manoeuvres: leave them out")
 
     def _record_excitation(self, duration: float, job: RecordingJob) -> RecordingResult:
         """Excite the simulator for ``duration`` s of its own time; there are no journals for the job's folder."""

@@ -6,14 +6,13 @@ The equations are functions of plain numbers, as for kernels, and also run on ar
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, Literal
 
 from model_zoo.car.planar_car import PlanarCarModel
 from model_zoo.grey_box.model import GreyBox
 from model_zoo.grey_box.parameters import Parameter
 from sysid_evo import PlanarBody, System, register_model
-from sysid_evo.data.response import ManoeuvreResult
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.kernels import Layout
 
@@ -120,10 +119,6 @@ def steering_angle(control: Any, p: Any) -> Any:
     return p[P.steer_left] * max(steer, 0.0) - p[P.steer_right] * max(-steer, 0.0) + p[P.steer_offset]
 
 
-DAY_TO_DAY = 0.2
-"""Relative error of a parameter measured by a manoeuvre when conditions change."""
-
-
 @register_model("single_track")
 class SingleTrack(GreyBox, PlanarCarModel):
     """Single-track car with saturating tyres, load transfer, and lag and delay of the actuators (grey box).
@@ -156,25 +151,6 @@ class SingleTrack(GreyBox, PlanarCarModel):
     def law_parameters(self) -> tuple[Parameter, ...]:
         return (*PARAMETERS, *MAGIC) if self.tyre == "pacejka" else PARAMETERS
 
-    def initial_guesses(self, found: Mapping[str, ManoeuvreResult]) -> Mapping[str, tuple[float, float]]:
-        """Return losses from coasting, thrust from the acceleration at rest, loss of thrust from the top speed.
-
-        These vary by about 20 % between days, so no prior is narrower than that.
-        """
-        guesses: dict[str, tuple[float, float]] = {}
-        for name, measured in (("rolling_resistance", "rolling resistance forward"), ("drag_linear", "drag forward")):
-            if measured in found:
-                guesses[name] = _as_prior(found[measured].value, found[measured].error)
-        rolling, drag = (guesses.get(name, (0.0, 0.0))[0] for name in ("rolling_resistance", "drag_linear"))
-        for way in ("forward", "backward"):
-            start, top = found.get(f"acceleration from rest {way}"), found.get(f"top speed {way}")
-            if start is not None:
-                thrust = start.value + rolling
-                guesses[f"thrust_{way}"] = _as_prior(thrust, start.error)
-                if top is not None and way == "forward" and rolling:
-                    guesses["back_emf"] = _as_prior((thrust - rolling) / top.value - drag, start.error / top.value)
-        return guesses
-
     def check_system(self, system: System) -> None:
         PlanarCarModel.check_system(self, system)
         assert isinstance(system.motion, PlanarBody)
@@ -191,8 +167,3 @@ class SingleTrack(GreyBox, PlanarCarModel):
         assert lateral is not None
         names = system.control_names
         return (forward, lateral, yaw_rate), (names.index(self.drive), names.index(self.steer))
-
-
-def _as_prior(value: float, error: float) -> tuple[float, float]:
-    """Return a guess that is not negative, and its standard deviation."""
-    return max(value, 0.0), max(error, DAY_TO_DAY * abs(value), 0.01)

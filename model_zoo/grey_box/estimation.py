@@ -1,10 +1,10 @@
-"""Least squares of simulations in windows, from several starts, with random effects."""
+"""Least squares of simulations in windows, from several starts."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +14,6 @@ from model_zoo.grey_box.equation import GreyBoxEquation, kernel_parameters, prop
 from model_zoo.grey_box.parameters import Parameter, ParameterBounds, ParameterCovariance, parameter_covariance
 from model_zoo.scaling import positive
 from sysid_evo.data import Dataset, Windows
-from sysid_evo.data.trajectory import recording
 from sysid_evo.engine.compiled.open_loop import free_runs
 from sysid_evo.errors import InvalidData
 from sysid_evo.models.dynamics import enough
@@ -37,14 +36,13 @@ HUBER_ERROR = 1.5
 
 @dataclass(frozen=True)
 class LeastSquaresFit:
-    """Points in the cube of bounds (n,), hidden initial states (nh, W), offsets (G, k), weighted errors, Jacobian.
+    """Points in the cube of bounds (n,), hidden initial states (nh, W), weighted errors, Jacobian.
 
     ``errors`` (W, m), ``jacobian`` (W, m, n) and ``by_hidden`` (W, m, nh) are those of the data, without priors.
     """
 
     places: Array
     hidden: Array
-    offsets: Array
     cost: float
     errors: Array
     jacobian: Array
@@ -55,7 +53,6 @@ class LeastSquaresFit:
 class LeastSquares:
     """Simulation errors in ``windows`` as a function of all unknowns.
 
-    ``varied`` are the parameters with an offset in each group, of standard deviation ``spreads`` (k,) in the cube.
     Parameters with a ``spread`` have a prior at their guess; ``inflation`` correlated errors count as one. ``report``
     is called before each evaluation.
     """
@@ -64,8 +61,6 @@ class LeastSquares:
     windows: FitWindows
     report: Callable[[], None]
     robust: bool = False
-    varied: tuple[int, ...] = ()
-    spreads: Array = field(default_factory=lambda: np.empty(0))
     noise: float = NOISE
     inflation: float = 1.0
 
@@ -73,10 +68,6 @@ class LeastSquares:
     def n(self) -> int:
         """Number of parameters."""
         return len(self.structure.parameters)
-
-    @cached_property
-    def n_groups(self) -> int:
-        return len(self.windows.groups) if self.varied else 0
 
     @property
     def _hidden_scale(self) -> tuple[Array, Array]:
@@ -100,18 +91,16 @@ class LeastSquares:
         )
         return np.asarray(np.mean(np.minimum(errors**2, 1.0), axis=(1, 2)))
 
-    def solve(self, places: Array, *, evaluations: int, hidden: Array | None = None) -> LeastSquaresFit:
-        """Return the least squares from a start; ``hidden`` (nh, W) are propagated through the history unless given."""
+    def solve(self, places: Array, *, evaluations: int) -> LeastSquaresFit:
+        """Return the least squares from a start, with hidden states propagated through the history."""
         structure, box = self.structure, self.structure.box
         low, width = self._hidden_scale
-        if hidden is None:
-            p = box.values(places)[:, None, None]
-            hidden = np.broadcast_to(
-                self.windows.hidden_from_history(structure, p), (len(structure.hidden), 1, len(self.windows))
-            )[:, 0]
+        p = box.values(places)[:, None, None]
+        hidden = np.broadcast_to(
+            self.windows.hidden_from_history(structure, p), (len(structure.hidden), 1, len(self.windows))
+        )[:, 0]
         zeta = (hidden - low[:, None]) / width[:, None] if len(structure.hidden) else hidden
-        no_offsets = np.zeros(self.n_groups * len(self.varied))
-        start = np.concatenate([np.clip(places, 1e-6, 1.0 - 1e-6), no_offsets, zeta.ravel()])
+        start = np.concatenate([np.clip(places, 1e-6, 1.0 - 1e-6), zeta.ravel()])
         lower, upper = np.full(len(start), -np.inf), np.full(len(start), np.inf)
         lower[: self.n], upper[: self.n] = 0.0, 1.0
         size = self._typical(start) if self.robust else 1.0
@@ -133,9 +122,9 @@ class LeastSquares:
             weight = (1.0 + (errors / (HUBER_ERROR * size)) ** 2) ** -0.25
             errors, jacobian = weight * errors, weight[..., None] * jacobian
             by_hidden = weight[..., None] * by_hidden
-        own, offsets, zeta = self._split(found.x)
+        own, zeta = self._split(found.x)
         return LeastSquaresFit(
-            own, low[:, None] + width[:, None] * zeta, offsets, float(found.cost), errors, jacobian, by_hidden
+            own, low[:, None] + width[:, None] * zeta, float(found.cost), errors, jacobian, by_hidden
         )
 
     def _typical(self, x: Array) -> float:
@@ -143,19 +132,14 @@ class LeastSquares:
         off = np.abs(self._values(x)[: self.windows.cut.states[0].size * len(self.windows)])
         return max(1.4826 * float(np.median(off)), 1e-9)
 
-    def _split(self, x: Array) -> tuple[Array, Array, Array]:
-        """Return points (n,), offsets (G, k) and hidden initial states (nh, W) in units of their width."""
-        n, k = self.n, len(self.varied)
-        end = n + self.n_groups * k
-        return x[:n], x[n:end].reshape(self.n_groups, k), x[end:].reshape(-1, len(self.windows))
+    def _split(self, x: Array) -> tuple[Array, Array]:
+        """Return points (n,) and hidden initial states (nh, W) in units of their width."""
+        return x[: self.n], x[self.n :].reshape(-1, len(self.windows))
 
-    def _run(self, places: Array, offsets: Array, zeta: Array) -> Array:
-        """Return the errors (P, W, m) at points (n, P, 1), offsets (G, k), hidden initial states (nh, P, W)."""
+    def _run(self, places: Array, zeta: Array) -> Array:
+        """Return the errors (P, W, m) at points (n, P, 1) and hidden initial states (nh, P, W)."""
         self.report()
         low, width = (side[:, None, None] for side in self._hidden_scale)
-        if len(self.varied):
-            places = np.repeat(places, len(self.windows), axis=2)
-            places[list(self.varied)] += offsets[self.windows.group].T[:, None, :]
         p = np.moveaxis(self.structure.box.values(np.moveaxis(places, 0, -1)), -1, 0)
         return self._bounded(self.windows.errors(self.structure, p, low + width * zeta))
 
@@ -164,36 +148,30 @@ class LeastSquares:
         return np.clip(np.nan_to_num(errors, nan=MAX_ERROR, posinf=MAX_ERROR, neginf=-MAX_ERROR), -MAX_ERROR, MAX_ERROR)
 
     def _values(self, x: Array) -> Array:
-        places, offsets, zeta = self._split(x)
-        errors = self._run(places[:, None, None], offsets, zeta[:, None])
+        places, zeta = self._split(x)
+        errors = self._run(places[:, None, None], zeta[:, None])
         return np.concatenate([errors.ravel(), self._priors(x)])
 
     def _priors(self, x: Array) -> Array:
-        """Return the residuals of the priors: measured parameters, zero offsets, hidden states at rest."""
-        places, offsets, zeta = self._split(x)
+        """Return the residuals of the priors: known parameters, hidden states at rest."""
+        places, zeta = self._split(x)
         guesses, spreads = self._guesses
         weight = self.noise * np.sqrt(self.inflation)
-        return np.concatenate(
-            [
-                weight * (places - guesses) / spreads,
-                (weight * offsets / np.where(self.spreads > 0.0, self.spreads, 1.0)).ravel(),
-                INITIAL_STATE_WEIGHT * zeta.ravel(),
-            ]
-        )
+        return np.concatenate([weight * (places - guesses) / spreads, INITIAL_STATE_WEIGHT * zeta.ravel()])
 
     def _parts(self, x: Array) -> tuple[Array, Array, Array]:
         """Return errors (W, m) and their derivatives by points (W, m, n) and by hidden initial states (W, m, nh).
 
         All differences are one batch: every parameter and hidden state is varied in a copy of all windows.
         """
-        places, offsets, zeta = self._split(x)
+        places, zeta = self._split(x)
         n, nh = self.n, len(zeta)
         steps = np.where(places + STEP > 1.0, -STEP, STEP)
         moved = np.tile(places[:, None], (1, 1 + n + nh))
         moved[np.arange(n), 1 + np.arange(n)] += steps
         starts = np.tile(zeta[:, None], (1, 1 + n + nh, 1))
         starts[np.arange(nh), 1 + n + np.arange(nh)] += STEP
-        errors = self._run(moved[:, :, None], offsets, starts)
+        errors = self._run(moved[:, :, None], starts)
         by = np.moveaxis(errors[1:] - errors[0], 0, -1) / np.concatenate([steps, np.full(nh, STEP)])
         return errors[0], by[..., :n], by[..., n:]
 
@@ -201,24 +179,18 @@ class LeastSquares:
         """Return the Jacobian of `_values`, for data and priors."""
         _, by_places, by_hidden = self._parts(x)
         windows, m, n = by_places.shape
-        k, groups, nh = len(self.varied), self.n_groups, by_hidden.shape[2]
+        nh = by_hidden.shape[2]
         jacobian = np.zeros((windows, m, len(x)))
         jacobian[..., :n] = by_places
         rows = np.arange(windows)
-        for i in range(k):
-            jacobian[rows, :, n + self.windows.group * k + i] = by_places[..., self.varied[i]] if groups else 0.0
         for i in range(nh):
-            jacobian[rows, :, n + groups * k + i * windows + rows] = by_hidden[..., i]
+            jacobian[rows, :, n + i * windows + rows] = by_hidden[..., i]
         return np.concatenate([jacobian.reshape(-1, len(x)), self._prior_jacobian(x)])
 
     def _prior_jacobian(self, x: Array) -> Array:
         _, spreads = self._guesses
-        k = self.n_groups * len(self.varied)
-        hidden = len(x) - self.n - k
-        each = np.where(self.spreads > 0.0, self.spreads, 1.0)
         weight = self.noise * np.sqrt(self.inflation)
-        pulls = [weight / spreads, np.tile(weight / each, self.n_groups)[:k], np.full(hidden, INITIAL_STATE_WEIGHT)]
-        return np.diag(np.concatenate(pulls))
+        return np.diag(np.concatenate([weight / spreads, np.full(len(x) - self.n, INITIAL_STATE_WEIGHT)]))
 
 
 FEWEST = 60
@@ -227,7 +199,7 @@ FEWEST = 60
 
 @dataclass(frozen=True)
 class FitWindows:
-    """W windows of H steps with their measurements and ``group`` (condition, or recording), (W,).
+    """W windows of H steps with their measurements.
 
     Errors are in units of ``scale`` (nx,), the spread of every state; simulations are clipped to ``limits`` (2, nx);
     ``order`` (W,) is the start of each window in steps since the first episode began.
@@ -236,8 +208,6 @@ class FitWindows:
     cut: Windows
     scale: Array
     limits: Array
-    group: IntArray
-    groups: tuple[str, ...]
     order: IntArray
 
     @classmethod
@@ -254,34 +224,19 @@ class FitWindows:
             places = dataset.find_windows(horizon, stride=stride, history=history)
         rows = np.unique(np.linspace(0, len(places) - 1, min(most, len(places))).round().astype(np.int64))
         windows = places[rows]
-        names = [episode.condition or recording(episode.name) for episode in dataset.episodes]
-        groups = tuple(dict.fromkeys(names))
-        group = np.array([groups.index(name) for name in names], dtype=np.int64)
         begins = np.cumsum([0, *(len(episode) for episode in dataset.episodes)])[:-1]
         scale = positive(dataset.system.spread(np.concatenate([episode.states for episode in dataset.episodes])))
-        return cls(windows, scale, limits, group[windows.episode], groups, begins[windows.episode] + windows.start)
+        return cls(windows, scale, limits, begins[windows.episode] + windows.start)
 
     def __len__(self) -> int:
         return len(self.cut)
 
-    def __getitem__(self, rows: IntArray) -> FitWindows:
-        """Return the windows with these numbers."""
-        return replace(self, cut=self.cut[rows], group=self.group[rows], order=self.order[rows])
-
     def runs(self, structure: GreyBoxEquation, p: Array, hidden: Array) -> Array:
-        """Return simulations (P, W, H, nx) with parameters (n, P, 1 or W), from ``hidden`` states (n, P or 1, W).
+        """Return simulations (P, W, H, nx) with parameters (n, P, 1), from ``hidden`` states (n, P or 1, W).
 
-        They are compiled if the motion has a compiled form, unless `SYSID_EVO_ENGINE` selects the reference. Parameters
-        that differ between windows are equal within a group.
+        They are compiled if the motion has a compiled form, unless `SYSID_EVO_ENGINE` selects the reference.
         """
         w = self.cut
-        if p.shape[2] > 1:
-            out = np.empty((p.shape[1], *w.states.shape))
-            for number in range(len(self.groups)):
-                rows = np.flatnonzero(self.group == number)
-                if len(rows):
-                    out[:, rows] = self[rows].runs(structure, p[:, :, rows[:1]], hidden[:, :, rows])
-            return out
         with np.errstate(all="ignore"):
             carry = structure.start(p, w.past_states, w.past_controls, hidden)
             carry = np.broadcast_to(carry, (len(carry), *np.broadcast_shapes(p.shape[1:], carry.shape[1:])))
@@ -365,41 +320,3 @@ def prior_variances(parameters: Sequence[Parameter], places: Array) -> Array:
     slopes = ParameterBounds.of(parameters).slopes(places)
     spreads = np.array([math.inf if p.spread is None else p.spread for p in parameters]) / slopes
     return np.minimum(spreads**2, 1.0 / 12.0)
-
-
-ROUNDS = 6
-FIRST_SPREAD = 0.05
-"""Initial standard deviation of the offsets in the cube."""
-EVALUATIONS = 12
-MIN_STD = 1e-4
-"""Standard deviation, as a share of the bounds, that counts as zero."""
-
-
-def fit_random_effects(
-    problem: LeastSquares, best: LeastSquaresFit, covariances: ParameterCovariance, varied: Sequence[int]
-) -> tuple[LeastSquaresFit, Array]:
-    """Return the estimate in which some parameters have a normal offset in each group.
-
-    The second result is the standard deviation (k,) of these offsets in the cube. It is estimated by
-    expectation-maximisation (Laird and Ware 1982): its square is the mean of offset^2 + the remaining variance of the
-    offset. Groups with little data have offsets near zero. Correlated errors count ``inflation`` times less.
-    """
-    spreads, found = np.full(len(varied), FIRST_SPREAD), best
-    for _ in range(ROUNDS):
-        varying = replace(
-            problem, varied=tuple(varied), spreads=spreads, noise=covariances.noise, inflation=covariances.inflation
-        )
-        found = varying.solve(found.places, evaluations=EVALUATIONS, hidden=found.hidden)
-        unknown = _unknown(varying, found)
-        spreads = np.maximum(np.sqrt(np.mean(found.offsets**2 + unknown, axis=0)), MIN_STD)
-    return found, spreads
-
-
-def _unknown(problem: LeastSquares, found: LeastSquaresFit) -> Array:
-    """Return the remaining variance (G, k) of each offset given the data of its group, each on its own."""
-    square = problem.noise**2 * problem.inflation
-    by = found.jacobian[..., list(problem.varied)]
-    each = np.sum(by**2, axis=1)  # (W, k)
-    information = np.zeros((problem.n_groups, by.shape[2]))
-    np.add.at(information, problem.windows.group, each / square)
-    return np.asarray(1.0 / (information + 1.0 / problem.spreads**2))

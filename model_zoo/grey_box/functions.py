@@ -84,8 +84,6 @@ class FunctionGreyBox(GreyBox):
         return _parameters(arguments[2].default) if len(arguments) == 3 else ()
 
     def check_parameters(self) -> None:
-        if self.random_effects:
-            super().check_parameters()
         if self.returns == "next_state":
             self._check_rates()
 

@@ -19,22 +19,18 @@ from model_zoo.grey_box.estimation import (
     LeastSquaresFit,
     best_of,
     covariance_of,
-    fit_random_effects,
     prior_variances,
     starts_of,
 )
 from model_zoo.grey_box.parameters import (
     HiddenState,
     Parameter,
-    ParameterCovariance,
-    offset_rows,
     parameter_rows,
     undetermined_parameters,
 )
 from model_zoo.grey_box.residual import ResidualNetwork, conditioned, inputs_of, learned_shape
 from sysid_evo.carry import REST_BAND, CarryLayout, hold_at_rest
 from sysid_evo.data import Dataset
-from sysid_evo.data.response import ManoeuvreResult, manoeuvre_results
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, ShapeError
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models import DynamicsModel
@@ -78,12 +74,7 @@ class GreyBox(DynamicsModel):
     The fit is least squares of simulations from measured states (multiple shooting): first over a fifth of ``seconds``,
     from ``starts`` points within the bounds, then over ``seconds``, in up to ``windows`` windows whose initial hidden
     states are estimated too. ``robust`` counts errors above 1.5 deviations linearly. Integration is fourth-order
-    Runge-Kutta with ``substeps`` steps per sample. Episodes of manoeuvres that measure a parameter
-    (`sysid_evo.data.response`) give guesses and priors, see `initial_guesses`.
-
-    The parameters in ``random_effects`` may differ between recordings, or between conditions if episodes name them
-    (battery, floor). The differences are shrunk towards zero unless the data require them, the model predicts with the
-    common values, and `random_effects_table` lists the differences.
+    Runge-Kutta with ``substeps`` steps per sample.
 
     ``parameters_`` and ``standard_errors_`` are the result, with clustered standard errors over blocks of time, because
     neighbouring errors are correlated. ``undetermined_`` lists what the data do not determine. `parameters_table` has
@@ -115,7 +106,6 @@ class GreyBox(DynamicsModel):
     past_samples: int = 5
     residual: bool = False
     residual_points: int = 150
-    random_effects: list[str] | None = None
     dead_band: bool = False
     max_steps: int | None = 100_000
 
@@ -142,13 +132,6 @@ class GreyBox(DynamicsModel):
         """Return the parameters of `law`: ``parameters``, unless a family offers several laws."""
         return self.parameters
 
-    def initial_guesses(self, found: Mapping[str, ManoeuvreResult]) -> Mapping[str, tuple[float, float]]:
-        """Return guess and standard deviation of parameters, by name, from manoeuvres; none by default.
-
-        ``found`` has the names of `sysid_evo.data.response`, such as ``drag forward``; the last measurement of each.
-        """
-        return {}
-
     def channel_indices(self, system: System) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return the positions of the states and controls of `law` in ``system``. Raises `IncompatibleSystem`."""
         return (
@@ -158,15 +141,6 @@ class GreyBox(DynamicsModel):
 
     def prepare(self, dataset: Dataset) -> None:
         """Look at the data before anything is fitted; does nothing by default."""
-
-    def check_parameters(self) -> None:
-        super().check_parameters()
-        known = [parameter.name for parameter in self.law_parameters()]
-        for name in self.random_effects or []:
-            if name not in known:
-                raise InvalidArgument(
-                    f"{type(self).__name__}: random_effects: expected names out of {', '.join(known)}, got {name!r}"
-                )
 
     def check_system(self, system: System) -> None:
         states, controls = self.channel_indices(system)
@@ -202,20 +176,9 @@ class GreyBox(DynamicsModel):
         found = self._structure_on(self.system)
         return found.shorter(float(self.parameters_[-1])) if len(getattr(self, "parameters_", ())) else found
 
-    def _with_priors(self, structure: GreyBoxEquation, dataset: Dataset) -> GreyBoxEquation:
-        """Return the structure with guesses and priors from the manoeuvres of ``dataset``, if there are any."""
-        guesses = self.initial_guesses({one.name: one for one in manoeuvre_results(dataset)})
-        self.informed_ = [parameter.name for parameter in structure.own if parameter.name in guesses]
-        own = tuple(
-            replace(parameter, guess=min(max(guess, parameter.low), parameter.high), spread=spread)
-            for parameter in structure.own
-            for guess, spread in [guesses.get(parameter.name, (parameter.guess, parameter.spread))]
-        )
-        return replace(structure, own=own)
-
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         self.prepare(dataset)
-        structure = self._with_priors(self._structure_on(dataset.system), dataset)
+        structure = self._structure_on(dataset.system)
         if not structure.parameters:
             self.parameters_, self.covariance_ = np.empty(0), np.empty((0, 0))
             return self
@@ -244,8 +207,6 @@ class GreyBox(DynamicsModel):
             found = covariance_of(last, best)
             last = replace(last, noise=found.noise, inflation=found.inflation)
             best = last.solve(best.places, evaluations=LAST_EVALUATIONS)
-        if self.random_effects is not None and len(last.windows.groups) > 1:
-            best = self._learn_offsets(last, best, covariance_of(last, best))
         self._learn(last, best)
         if self.residual:
             self._learn_residual(dataset, rng, report)
@@ -261,8 +222,6 @@ class GreyBox(DynamicsModel):
             "residual_spread_": Numbers(nx, optional=True),
             "covariance_": Numbers(count, count, infinite=True, optional=True),
             "standard_errors_": Numbers(count, infinite=True, optional=True),
-            "offsets_": Numbers("recordings", "offsets", optional=True),
-            "offset_spreads_": Numbers("offsets", optional=True),
         }
         if structure.hidden:
             found |= dict.fromkeys(("hidden_mean_", "hidden_spread_"), (len(structure.hidden),))
@@ -277,26 +236,6 @@ class GreyBox(DynamicsModel):
     def _needs_history(self) -> bool:
         """Whether the carry holds values that only the past determines."""
         return bool(self.hidden_states) or self.actuator_lag
-
-    def _learn_offsets(
-        self, problem: LeastSquares, best: LeastSquaresFit, covariances: ParameterCovariance
-    ) -> LeastSquaresFit:
-        """Return the estimate of the common parameters; store the offsets of each recording, in units."""
-        box, names = problem.structure.box, [parameter.name for parameter in problem.structure.parameters]
-        varied = [names.index(name) for name in self.random_effects or []]
-        found, spreads = fit_random_effects(problem, best, covariances, varied)
-        common = box.values(found.places)
-        of_each = np.repeat(found.places[None], len(problem.windows.groups), axis=0)
-        of_each[:, varied] += found.offsets
-        self.offsets_ = (box.values(of_each) - common)[:, varied]
-        self.offset_spreads_ = spreads * box.slopes(found.places)[varied]
-        self.recordings_ = list(problem.windows.groups)
-        return found
-
-    def random_effects_table(self) -> list[dict[str, Any]]:
-        """Return the offset of each parameter of ``random_effects`` in each recording, with its unit."""
-        recordings, offsets = getattr(self, "recordings_", []), getattr(self, "offsets_", [])
-        return offset_rows(self.law_parameters(), recordings, self.random_effects or [], offsets)
 
     def _learn(self, problem: LeastSquares, best: LeastSquaresFit) -> None:
         structure = problem.structure
@@ -367,13 +306,6 @@ class GreyBox(DynamicsModel):
     @property
     def fit_note(self) -> str:
         notes = [super().fit_note, *getattr(self, "undetermined_", [])]
-        if getattr(self, "informed_", []):
-            notes.append(f"first guesses of {', '.join(self.informed_)} are taken from manoeuvres")
-        if hasattr(self, "offset_spreads_"):
-            units = {parameter.name: parameter.unit for parameter in self.law_parameters()}
-            pairs = zip(self.random_effects or [], self.offset_spreads_, strict=True)
-            each = ", ".join(f"{name} {spread:.2g} {units[name]}".rstrip() for name, spread in pairs)
-            notes.append(f"standard deviation between recordings: {each}")
         if hasattr(self, "residual_share_"):
             kept, without = self.residual_errors_
             notes.append(

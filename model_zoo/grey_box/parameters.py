@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -248,16 +248,4 @@ def parameter_rows(
             **({"correlations": others} if others else {}),
         }
         for parameter, value, error, known, others in zip(parameters, values, errors, determined, strong, strict=True)
-    ]
-
-
-def offset_rows(
-    parameters: Sequence[Parameter], recordings: Iterable[str], names: Sequence[str], offsets: Iterable[Array]
-) -> list[dict[str, Any]]:
-    """Return a row for every recording and every one of ``names``, with its offset there."""
-    units = {parameter.name: parameter.unit for parameter in parameters}
-    return [
-        {"recording": recording, "parameter": name, "offset": float(offset), "unit": units[name]}
-        for recording, row in zip(recordings, offsets, strict=True)
-        for name, offset in zip(names, row, strict=True)
     ]

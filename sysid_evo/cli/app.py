@@ -85,7 +85,6 @@ REFUSED = {
     "fit": (JOBS,),
     "evolve": (JOBS,),
     "study": (JOBS, Meaningless(("jobs", "scheduler", "dry_run"), "nothing is computed", {"render": ()})),
-    "record": (Meaningless(("minutes",), "its manoeuvres have fixed lengths", {"manoeuvre": ()}),),
     "export": (Meaningless(("real",), "NumPy computes in double precision", {"to": ("python",)}),),
     "drive": (
         Meaningless(("robot",), "the model is driven instead", {"model": ()}),

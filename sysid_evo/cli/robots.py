@@ -6,7 +6,6 @@ import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -100,8 +99,6 @@ def record(
         values=names_of("robot"))] = "emulated_car",
     minutes: Annotated[float, option("Minutes of excitation", "N", panel="Robot", shown="6",
         parser=number(0.1, float))] = 6.0,
-    manoeuvre: Annotated[str | None, option("Measuring manoeuvre instead: step, coast_down or circle", "NAME",
-        panel="Robot", values=lambda: ("step", "coast_down", "circle"))] = None,
     seed: options.Seed = None, plugin: options.Plugins = None,
 ) -> None:  # fmt: skip
     """Drive a robot through excitation manoeuvres and record it.
@@ -114,16 +111,12 @@ def record(
     machine = hardware.find_robot(robot)
     journal = folder / hardware.JOURNALS
     hardware.check_recording(machine, journal, duration=60.0 * minutes)
-    manoeuvres = None if manoeuvre is None else hardware.measuring_manoeuvres(machine.system, manoeuvre)
     title = f"record {robot}"
     with PlanProgress() as bars, hardware.StopRequest(machine.answers_within) as stops, _ended_by(stops):
         bars.begin(title)
-        drive = (
-            partial(machine.record, duration=60.0 * minutes)
-            if manoeuvres is None
-            else partial(machine.record_manoeuvres, manoeuvres)
+        recorded = machine.record(
+            seed=seed or 0, duration=60.0 * minutes, folder=journal, stop=stops, progress=bars.advance
         )
-        recorded = drive(seed=seed or 0, folder=journal, stop=stops, progress=bars.advance)
         ended = recorded.report.sentence if recorded.report.reason.is_fault else None
         bars.end(title, ended)
     dataset = recorded.dataset
@@ -132,8 +125,6 @@ def record(
     dataset.save(folder)
     print_notes(dataset.notes)
     out.print(episode_table(dataset))
-    for one in sysid_evo.data.manoeuvre_results(dataset):
-        print_line(str(one))
     for sentence in reward_sentences(machine.default_task, dataset):
         print_line(sentence)
     print_line(f"data set stored in {folder}")

@@ -5,7 +5,7 @@ from .preparation import PreparedLog, RawLog, prepare, rows_as_episodes
 from .quality import RecordingQuality, recording_quality
 from .readers import Reader, Table
 from .reading import Recording, read_recording
-from .response import Delay, find_delays, manoeuvre_results
+from .response import Delay, find_delays
 from .timing import ControlTiming, control_timing
 from .trajectory import Trajectory, Windows
 from .usable import check_usable
@@ -31,7 +31,6 @@ __all__ = [
     "find_delays",
     "is_stored_dataset",
     "load_columns",
-    "manoeuvre_results",
     "prepare",
     "read_recording",
     "recording_quality",

@@ -1,15 +1,15 @@
-"""Responses of states to controls: delays, a linear fit, measured manoeuvres, stretches without any."""
+"""Responses of states to controls: delays, a linear fit, stretches without any."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sysid_evo.angles import TURN
 from sysid_evo.data.dataset import Dataset
-from sysid_evo.data.trajectory import Trajectory, recording
+from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray
@@ -261,147 +261,18 @@ def _variance(blocks: Iterator[Array]) -> Array:
     return np.asarray(squares / count)
 
 
-def acting_controls(system: System, states: Array, controls: Array) -> Array:
-    """Return the controls (T, nu), on a planar body followed by their products with the forward speed."""
-    forward = _forward(system)
-    if forward is None:
-        return controls
-    return np.concatenate([controls, controls * states[:, [forward]]], axis=1)
-
-
-STEADY_SHARE = 0.3
-"""Share of the command's time, at its end, that counts as steady."""
-RISE_SHARE = 1.0 - np.exp(-1.0)
-SLOW = 0.15
-"""Share of the speed at its beginning below which a coast-down is over."""
-LEAST = 1e-9
-
-
-@dataclass(frozen=True)
-class ManoeuvreResult:
-    """A measured ``value`` with ``name``, standard ``error`` and ``unit``, and the ``episode`` of the manoeuvre."""
-
-    name: str
-    value: float
-    error: float
-    unit: str
-    episode: str
-
-    def __str__(self) -> str:
-        return f"{self.name}: {self.value:.3g} +- {self.error:.1g} {self.unit} ({self.episode})"
-
-
-def manoeuvre_results(dataset: Dataset) -> list[ManoeuvreResult]:
-    """Return the values measured from the manoeuvres of a data set, in their order; empty without manoeuvres.
-
-    Manoeuvres are episodes whose names begin with ``step``, ``coast_down`` or ``circle`` (`sysid-evo record
-    --manoeuvre`). The values are initial guesses for a fit (Abbeel et al. 2006, "Using inaccurate models in
-    reinforcement learning").
-    """
-    ways: dict[str, Callable[[System, Trajectory], Iterator[ManoeuvreResult]]] = {
-        "step": _step,
-        "coast_down": _coast_down,
-        "circle": _circle,
-    }
-    found: list[ManoeuvreResult] = []
-    for episode in dataset.episodes:
-        way = ways.get(recording(episode.name).split("-")[0])
-        if way is not None:
-            found += way(dataset.system, episode)
-    return found
-
-
-def _commanded(system: System, episode: Trajectory) -> tuple[int, int]:
-    """Return the first and one past the last sample with a command; (0, 0) if there is none."""
-    on = np.flatnonzero((episode.controls != system.neutral_control).any(axis=1))
-    return (int(on[0]), int(on[-1]) + 1) if len(on) else (0, 0)
-
-
-def _steady(values: Array) -> tuple[float, float]:
-    """Return mean and standard error of the last part; five neighbouring samples count as one (correlation)."""
-    last = values[-max(3, round(STEADY_SHARE * len(values))) :]
-    return float(last.mean()), float(last.std() / np.sqrt(max(1.0, len(last) / 5.0)))
-
-
 def _forward(system: System) -> int | None:
     if not isinstance(system.motion, PlanarBody):
         return None
     return system.motion.indices(system.state_names)[0]
 
 
-def _direction(value: float) -> str:
-    return "forward" if value > 0.0 else "backward"
-
-
-def _step(system: System, episode: Trajectory) -> Iterator[ManoeuvreResult]:
-    """Steady value and time constant of every state, or of the forward speed if there is one."""
-    first, last = _commanded(system, episode)
-    if last - first < 5:
-        return
-    forward, name = _forward(system), recording(episode.name)
-    for i in range(system.nx) if forward is None else [forward]:
-        run = episode.states[first : last + 1, i]
-        value, error = _steady(run)
-        change, unit = value - run[0], system.states[i].unit
-        noise = float(np.std(np.diff(run[-max(3, round(STEADY_SHARE * len(run))) :])))
-        if abs(change) <= 5.0 * noise + LEAST:
-            continue
-        what = f"steady {system.states[i].name}" if forward is None else f"top speed {_direction(value)}"
-        yield ManoeuvreResult(what, abs(value) if forward is not None else value, error, unit, name)
-        share = (run - run[0]) / change
-        after = int(np.argmax(share >= RISE_SHARE))
-        if after == 0:
-            continue
-        steps = after - (share[after] - RISE_SHARE) / max(share[after] - share[after - 1], LEAST)
-        what = f"time constant of {system.states[i].name}" if forward is None else f"time constant {_direction(value)}"
-        yield ManoeuvreResult(what, float(steps * system.dt), 0.5 * system.dt, "s", name)
-        if forward is not None:
-            start = float(np.max(np.abs(np.diff(run)[: after + 1])) / system.dt)
-            yield ManoeuvreResult(f"acceleration from rest {_direction(value)}", start, 0.1 * start, "m/s^2", name)
-
-
-def _coast_down(system: System, episode: Trajectory) -> Iterator[ManoeuvreResult]:
-    """Rolling resistance c and drag d of du/dt = -(c + d |u|) without a command, from the shape of the coast-down."""
-    forward, (_, last) = _forward(system), _commanded(system, episode)
-    if forward is None or not last:
-        return
-    run = episode.states[last + 2 :, forward]  # the command still acts for a sample or two
-    moving = np.abs(run) > SLOW * np.abs(run[0]) if len(run) else np.zeros(0, dtype=bool)
-    count = len(run) if moving.all() else int(np.argmin(moving))
-    if count < 5:
-        return
-    speed = np.abs(run[:count])
-    travelled = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * system.dt)])
-    inputs = np.stack([np.ones(count), -system.dt * np.arange(count), -travelled], axis=1)
-    solution, _, rank, _ = np.linalg.lstsq(inputs, speed, rcond=None)
-    if rank < 3:
-        return
-    left = speed - inputs @ solution
-    covariance = np.linalg.inv(inputs.T @ inputs) * float(left @ left) / max(1, count - 3) * 5.0
-    way, name = _direction(float(run[0])), recording(episode.name)
-    for what, i, unit in (("rolling resistance", 1, "m/s^2"), ("drag", 2, "1/s")):
-        yield ManoeuvreResult(f"{what} {way}", float(solution[i]), float(np.sqrt(covariance[i, i])), unit, name)
-
-
-def _circle(system: System, episode: Trajectory) -> Iterator[ManoeuvreResult]:
-    """Turning radius, positive to the left, and the speed."""
-    if not isinstance(system.motion, PlanarBody):
-        return
-    first, last = _commanded(system, episode)
-    if last - first < 5:
-        return
-    forward, _, yaw_rate = system.motion.indices(system.state_names)
-    speed, error_of_speed = _steady(episode.states[first : last + 1, forward])
-    turn, error_of_turn = _steady(episode.states[first : last + 1, yaw_rate])
-    if abs(turn) < LEAST or abs(speed) < LEAST:
-        return
-    radius = abs(speed / turn)
-    error = radius * float(np.hypot(error_of_speed / speed, error_of_turn / turn))
-    side = "left" if turn * speed > 0.0 else "right"
-    name = recording(episode.name)
-    yield ManoeuvreResult(
-        f"turning radius {side}, {_direction(speed)} at {abs(speed):.2f} m/s", radius, error, "m", name
-    )
+def acting_controls(system: System, states: Array, controls: Array) -> Array:
+    """Return the controls (T, nu), on a planar body followed by their products with the forward speed."""
+    forward = _forward(system)
+    if forward is None:
+        return controls
+    return np.concatenate([controls, controls * states[:, [forward]]], axis=1)
 
 
 RESPONSE = 1.5
@@ -428,25 +299,16 @@ def without_dead_stretches(dataset: Dataset) -> Dataset:
     if not isinstance(dataset.system.motion, PlanarBody):
         return dataset
     still = [~moving for moving in dataset.moving]
-    stretches = [_stretches(rows) for rows in still]
-    if not any(stretches):
+    resting = [rows.mean() >= WHOLE for rows in still]
+    if not any(resting):
         return dataset
-    dead, size = _dead(dataset, still, stretches), _window(dataset.system)
-    kept = list[Trajectory]()
-    for episode, own in zip(dataset, dead, strict=True):
-        edges = [0, *(edge for stretch in own for edge in stretch), len(episode)]
-        for first, last in zip(edges[::2], edges[1::2], strict=True):
-            if last - first == len(episode):
-                kept.append(episode)
-            elif last - first >= size:
-                kept.append(episode[first:last])
-    count = sum(map(len, dead))
-    if not count or not kept:
+    pairs = list(zip(dataset, _dead(dataset, still, resting), strict=True))
+    dead, kept = [[episode for episode, is_dead in pairs if is_dead == wanted] for wanted in (True, False)]
+    if not dead or not kept:
         return dataset
-    seconds = sum(last - first for own in dead for first, last in own) * dataset.system.dt
-    names = [episode.name for episode, own in zip(dataset, dead, strict=True) if own]
+    seconds, names = sum(map(len, dead)) * dataset.system.dt, ", ".join(episode.name for episode in dead)
     note = (
-        f"{seconds:.0f} s of {dataset.duration:.0f} s are left out, in {', '.join(names)}: the robot did not move "
+        f"{seconds:.0f} s of {dataset.duration:.0f} s are left out, in {names}: the robot did not move "
         "under commands that move it in other episodes. Was it blocked or switched off?"
     )
     return replace(dataset.with_episodes(kept), notes=(*dataset.notes, note))
@@ -456,15 +318,8 @@ def _window(system: System) -> int:
     return max(FEWEST_SAMPLES, round(RESPONSE / system.dt))
 
 
-def _stretches(still: BoolArray) -> list[tuple[int, int]]:
-    """Return first and last step of an episode at rest; a stop within another episode is no sign of a fault."""
-    return [(0, len(still) - 1)] if still.mean() >= WHOLE else []
-
-
-def _dead(
-    dataset: Dataset, still: list[BoolArray], stretches: list[list[tuple[int, int]]]
-) -> list[list[tuple[int, int]]]:
-    """Return the stretches, by episode, in which the robot should have moved.
+def _dead(dataset: Dataset, still: list[BoolArray], resting: list[bool]) -> list[bool]:
+    """Return which of the ``resting`` episodes are those in which the robot should have moved.
 
     Commands of a window at rest are similar if their means over both halves are. A command counts as far as it is
     correlated with leaving rest.
@@ -479,9 +334,9 @@ def _dead(
     ]
     owner, begin = (np.array([window[i] for window in windows], dtype=np.int64) for i in (0, 1))
     responded = np.array([not still[i][start : start + size + 1].all() for i, start in zip(owner, begin, strict=True)])
-    known = np.array([rest.mean() < WHOLE for rest in still])[owner] if len(owner) else np.zeros(0, dtype=bool)
+    known = ~np.array(resting)[owner]
     if known.sum() < FEWEST_NEIGHBOURS or responded[known].all() or not responded[known].any():
-        return [[] for _ in stretches]
+        return [False] * len(resting)
     commands = np.array([np.concatenate(window[2:]) for window in windows])
     spread = np.tile(np.ptp(np.concatenate([episode.controls for episode in dataset]), axis=0), 2)
     off = commands[known] - commands[known].mean(axis=0)
@@ -489,21 +344,13 @@ def _dead(
         np.sqrt((off**2).sum(axis=0)), TINY
     )
     features = commands / np.where(spread > 0.0, spread, 1.0) * (weights / weights.max())
-    found = list[list[tuple[int, int]]]()
-    for number, own in enumerate(stretches):
-        found.append([])
-        others = np.flatnonzero(known & (owner != number))
-        for first, last in own if len(others) >= FEWEST_NEIGHBOURS else ():
-            inside = np.flatnonzero((owner == number) & (begin >= first) & (begin + size <= last) & ~responded)
-            expected = 0
-            for row in inside:
-                distance = np.abs(features[others] - features[row]).max(axis=1)
-                nearest = np.argsort(distance, kind="stable")[:NEIGHBOURS]
-                near = responded[others[nearest[distance[nearest] <= CLOSE]]]
-                expected += len(near) >= FEWEST_NEIGHBOURS and near.mean() >= RESPONDING
-            if expected * stride * dt >= EVIDENCE:
-                found[-1].append((first, last))
-    return found
+    others, expected = np.flatnonzero(known), np.zeros(len(resting))
+    for row in np.flatnonzero(~known & ~responded):
+        distance = np.abs(features[others] - features[row]).max(axis=1)
+        nearest = np.argsort(distance, kind="stable")[:NEIGHBOURS]
+        near = responded[others[nearest[distance[nearest] <= CLOSE]]]
+        expected[owner[row]] += len(near) >= FEWEST_NEIGHBOURS and near.mean() >= RESPONDING
+    return [bool(one) for one in expected * stride * dt >= EVIDENCE]
 
 
 TINY = 1e-12

@@ -3,7 +3,6 @@
 import io
 import math
 import re
-from dataclasses import replace
 from math import atan2, sin
 
 import numpy as np
@@ -11,13 +10,10 @@ import pytest
 from rich.console import Console
 
 from hardware.emulation.car_physics import CarParameters
-from hardware.recording.manoeuvres import measuring_manoeuvres
-from hardware.robot import find_robot
 from model_zoo.car.single_track import MAGIC, PARAMETERS, SingleTrack, magic, pacejka_rate, tanh_rate
 from model_zoo.grey_box import HiddenState, Parameter
 from sysid_evo.cli.models import card_table, model_card
 from sysid_evo.data import Dataset
-from sysid_evo.data.response import manoeuvre_results
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.laws import array_form
 from sysid_evo.models import load_model, save_model
@@ -26,7 +22,6 @@ from sysid_evo.motion import PlanarBody
 from sysid_evo.registry import make_robot, models
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import MODEL
-from tests.fixtures.families import hurry
 from tests.fixtures.plants import PENDULUM, Accelerated, Cylinder, HeavyPendulum, Pendulum, cylinder, pendulum, recorded
 
 SHARE = 0.25
@@ -244,50 +239,6 @@ def test_a_residual_of_a_law_that_lacks_nothing_is_not_kept(swinging):
     assert model.residual_share_ == 0.0
 
 
-GAINS = (1.6, 1.8, 2.0, 2.2, 2.4, 2.0)
-
-
-def several(gains=GAINS):
-    """Return recordings of pendulums that are the same but for the gain of their motors."""
-    episodes = []
-    for number, gain in enumerate(gains):
-
-        def rate(x, u, gain=gain):
-            return [x[1], -9.0 * np.sin(x[0]) - 0.5 * x[1] + gain * u]
-
-        short = recorded(PENDULUM, rate, [1.0, 0.0], noise=(0.01, 0.03), seed=number, steps=200, episodes=1)
-        episodes.append(replace(short.episodes[0], name=f"day-{number}"))
-    return Dataset(PENDULUM, tuple(episodes))
-
-
-def test_differences_between_recordings_are_listed_and_the_common_value_predicts():
-    model = Pendulum(random_effects=["gain", "friction"], **QUICK).fit(several(), rng=0)
-    assert found(model)["gain"] == pytest.approx(2.0, abs=0.06)
-    rows = [row["offset"] for row in model.random_effects_table() if row["parameter"] == "gain"]
-    np.testing.assert_allclose(rows, np.array(GAINS) - 2.0, atol=0.08)
-    spreads = dict(zip(("gain", "friction"), model.offset_spreads_, strict=True))
-    assert spreads["gain"] == pytest.approx(np.std(GAINS), rel=0.3)
-    assert spreads["friction"] < 0.05
-    assert "standard deviation between recordings: gain 0.2" in model.fit_note
-    assert all(row["unit"] for row in model.random_effects_table())
-
-
-def test_recordings_of_one_condition_share_their_offsets():
-    data = several().label_conditions({"cold": "day-[012]", "warm": "day-[345]"})
-    model = Pendulum(random_effects=["gain"], starts=1, windows=60).fit(data, rng=0)
-    assert [row["recording"] for row in model.random_effects_table()] == ["cold", "warm"]
-
-
-def test_where_nothing_differs_offsets_shrink_to_nothing():
-    model = Pendulum(random_effects=["gain"], **QUICK).fit(several((2.0,) * 6), rng=0)
-    assert np.abs(model.offsets_).max() < 0.03
-
-
-def test_an_offset_of_what_is_no_parameter_is_refused():
-    with pytest.raises(InvalidArgument, match="expected names out of stiffness, friction, gain, got 'grip'"):
-        Pendulum(random_effects=["grip"])
-
-
 def test_the_card_of_a_stored_grey_box_prints_its_parameters(heavy, tmp_path):
     card = model_card(save_model(heavy, tmp_path / "model"))
     assert "unused is not determined by the data" in card["note"]
@@ -347,22 +298,3 @@ def test_a_car_whose_sideways_speed_is_not_measured_is_refused():
     system = System(states, (Channel("drive"), Channel("steer")), 0.05, PlanarBody(lateral=None))
     with pytest.raises(IncompatibleSystem, match="needs the lateral speed"):
         SingleTrack().check_system(system)
-
-
-def test_manoeuvres_in_the_data_give_guesses_and_priors(car_data, monkeypatch):
-    """A fifth of the value at best: they are of another day. Without such episodes there are none."""
-    robot = find_robot("emulated_car")
-    episodes = [
-        episode
-        for kind in ("step", "coast_down")
-        for episode in robot.record_manoeuvres(measuring_manoeuvres(robot.system, kind), seed=0).dataset.episodes
-    ]
-    data = Dataset(robot.system, tuple(episodes))
-    guesses = SingleTrack().initial_guesses({one.name: one for one in manoeuvre_results(data)})
-    assert set(guesses) == {"rolling_resistance", "drag_linear", "thrust_forward", "thrust_backward", "back_emf"}
-    assert guesses["thrust_forward"][0] == pytest.approx(CarParameters().thrust_forward, rel=0.3)
-    assert all(spread >= 0.2 * value for value, spread in guesses.values())
-    hurry(monkeypatch)  # what is looked at is the note
-    for dataset, told in ((data, True), (car_data, False)):
-        model = SingleTrack(tyre="tanh", starts=1, windows=5).fit(dataset, rng=0)
-        assert ("first guesses of thrust_forward" in model.fit_note) == told

@@ -35,7 +35,6 @@ TOGETHER = {
     "fit": {("scheduler", "jobs")},
     "evolve": {("scheduler", "jobs")},
     "study": {("scheduler", "jobs"), ("render", "jobs"), ("render", "scheduler"), ("render", "dry-run")},
-    "record": {("manoeuvre", "minutes")},
     "export": {("to", "real")},
     "drive": {("model", "robot"), ("controller", "host"),
               ("controller", "port")},
