@@ -119,7 +119,7 @@ class Experiment(BaseModel):
         "Robustness", "SPEC", kind="noise",
     )  # fmt: skip
     penalty: str = setting(
-        "", "Fitness penalty where models extrapolate or disagree, such as uncertainty(outside=5)", "Robustness",
+        "", "Fitness penalty where models extrapolate, such as uncertainty(outside=5)", "Robustness",
         "SPEC", kind="penalty",
     )  # fmt: skip
     estimator_delay: Seconds = setting(

@@ -52,7 +52,7 @@ class ControllerEvolution:
     - ``schedule``: easier stages that precede the task in every run.
     - ``noise``: domain randomisation, a spec (`DomainRandomisation`), empty for none. It acts during evolution and the
       choice of the champion, not when claims are measured.
-    - ``penalty``: fitness penalty where models extrapolate or disagree, a spec (`UncertaintyPenalty`), empty for none.
+    - ``penalty``: fitness penalty where models extrapolate, a spec (`UncertaintyPenalty`), empty for none.
     """
 
     generations: int = 300
@@ -270,12 +270,11 @@ def disturbed_runners(runners: Mapping[str, Runner], settings: ControllerEvoluti
     noise, penalty, delay = settings.make_noise(), settings.make_penalty(), settings.estimator_delay
     if noise is None and penalty is None and delay == 0.0:
         return dict(runners)
-    models = _models(runners)
     found: dict[str, Runner] = {}
-    for label, runner in models.items():
+    for label, runner in _models(runners).items():
         dynamics = runner.dynamics
         if penalty is not None:
-            dynamics = penalty.around(dynamics, [other.dynamics for name, other in models.items() if name != label])
+            dynamics = penalty.around(dynamics)
         if noise is not None or delay:
             dynamics = Disturbed(dynamics, noise, delay=delay)
         alone = replace(runner, dynamics=dynamics)

@@ -317,13 +317,12 @@ def test_noise_applies_to_every_model(models):
 
 def test_candidates_lose_fitness_where_models_are_uncertain(models, evolved):
     plain, cautious = (
-        evolved(replace(SETTINGS, penalty=penalty), models)
-        for penalty in ("", "uncertainty(outside=100, disagreement=50)")
+        evolved(replace(SETTINGS, penalty=penalty), models) for penalty in ("", "uncertainty(outside=100)")
     )
     assert cautious.history[:, 2].min() < -1.0 <= plain.history[:, 2].min()
     doubted = disturbed_runners(
         models,
-        replace(SETTINGS, noise="domain_randomisation(gain=0.1)", penalty="uncertainty(outside=1, disagreement=2)"),
+        replace(SETTINGS, noise="domain_randomisation(gain=0.1)", penalty="uncertainty(outside=3)"),
     )
     assert isinstance(doubted["a"], PenalisedRunner)
     assert doubted["a"].max_penalty == 3.0
