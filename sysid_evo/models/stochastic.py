@@ -166,13 +166,17 @@ class StochasticModel(DynamicsModel):
         *,
         own_deviation: bool = False,
     ) -> None:
-        """Set residual, persistent share and scales from ``models``, each with its held-out data."""
+        """Set residual, persistent share and scales from ``models``, each with its held-out data.
+
+        The errors are theirs, but the noise is that of this model, since noise may grow differently in each. With
+        ``own_deviation`` it is theirs, too: a deviation that depends on the state is smaller where a model was fitted.
+        """
         residual, persistent = step_spread(models, lambda model, carry, control: model.next_state(carry, control))
         horizon = usable_horizon([part for _, part in models], self.n_lags)
-        for model, _ in models:
-            if not own_deviation:
-                model.residual_ = residual
-        cases = [Case.of(model, part, horizon, MAX_WINDOWS // len(models)) for model, part in models]
+        noisy = None if own_deviation else self
+        for model in [] if own_deviation else [self, *(model for model, _ in models)]:
+            model.residual_ = residual
+        cases = [Case.of(model, part, horizon, MAX_WINDOWS // len(models), noisy=noisy) for model, part in models]
         usual = RecentErrors.usual(
             [RecentErrors.before(case, part) for case, (_, part) in zip(cases, models, strict=True)]
         )

@@ -61,23 +61,28 @@ Steps = TypeVar("Steps", bound=NoisySteps)
 
 @dataclass(frozen=True)
 class Case:
-    """A model, windows of its held-out data, and a mask of their targets (N, H) in motion."""
+    """A model, windows of its held-out data, and a mask of their targets (N, H) in motion.
+
+    ``noisy`` is the model whose noise is calibrated on the errors of ``model``: the same one, or that of all data.
+    """
 
     model: NoisySteps
     windows: Windows
     moving: BoolArray
+    noisy: NoisySteps
 
     @classmethod
-    def of(cls, model: NoisySteps, part: Dataset, horizon: int, most: int, *, windows: Windows | None = None) -> Case:
+    def of(cls, model: NoisySteps, part: Dataset, horizon: int, most: int, *, noisy: NoisySteps | None = None) -> Case:
         """Return the case of at most ``most`` evenly spaced windows of ``horizon`` steps of ``part`` in motion."""
-        cut = part.windows(horizon, stride=1, history=model.n_lags, moving=True) if windows is None else windows
+        noisy = noisy or model
+        cut = part.windows(horizon, stride=1, history=max(model.n_lags, noisy.n_lags), moving=True)
         cut = cut[evenly_spaced(len(cut), most)]
         begins = np.cumsum([0, *(len(rows) for rows in part.moving)])[:-1]
         ahead = cut.start[:, None] + 1 + np.arange(cut.states.shape[1])
         moves = (
             np.concatenate(part.moving)[begins[cut.episode][:, None] + ahead] if len(cut) else np.empty((0, 0), bool)
         )
-        return cls(model, cut, moves)
+        return cls(model, cut, moves, noisy)
 
 
 RECENT = 20
@@ -253,27 +258,32 @@ def _factor(wanted: Array, share: float) -> Array:
     return np.clip(np.sqrt(np.maximum(np.quantile(wanted, level, axis=0, method="higher"), 0.0)), SMALLEST, LARGEST)
 
 
+def _started(model: NoisySteps, windows: Windows) -> Array:
+    return model.initial_carry(*recent(windows.past_states, windows.past_controls, model.n_lags))
+
+
+def _next(model: NoisySteps, carry: Array, control: Array, disturbance: Array) -> Array:
+    return clip_state(model.disturbed(carry, control, disturbance), model.state_bounds)[0]
+
+
 class _Run:
     """The samples of one case, simulated from horizon to horizon."""
 
     def __init__(self, case: Case, persistent: Array, seed: tuple[int, int]) -> None:
         windows = case.windows
-        carry = case.model.initial_carry(*recent(windows.past_states, windows.past_controls, case.model.n_lags))
         self.case, self.horizon, self.seed = case, windows.controls.shape[1], seed
-        self.centre = self._alone(carry)
+        self.centre = self._alone()
+        carry = _started(case.noisy, windows)
         self.carry, self.count = np.tile(carry, (SAMPLES, 1)), len(carry)
         self.white, self.lasting = np.sqrt(1.0 - persistent), np.sqrt(persistent)
         self.held = np.random.default_rng(seed).standard_normal((len(self.carry), windows.states.shape[2]))
 
-    def _next(self, carry: Array, control: Array, disturbance: Array) -> Array:
-        return clip_state(self.case.model.disturbed(carry, control, disturbance), self.case.model.state_bounds)[0]
-
-    def _alone(self, carry: Array) -> Array:
+    def _alone(self) -> Array:
         """Return the states (N, H, nx) of the run without noise."""
         windows, found = self.case.windows, np.empty_like(self.case.windows.states)
-        nothing = np.zeros((len(carry), windows.states.shape[2]))
+        carry, nothing = _started(self.case.model, windows), np.zeros((len(windows), windows.states.shape[2]))
         for k in range(self.horizon):
-            carry = self._next(carry, windows.controls[:, k], nothing)
+            carry = _next(self.case.model, carry, windows.controls[:, k], nothing)
             found[:, k] = carry[:, : found.shape[2]]
         return found
 
@@ -293,7 +303,7 @@ class _Run:
         rng = np.random.default_rng([*self.seed, last])
         for k in range(first, last):
             noise = self.white * rng.standard_normal(self.held.shape) + self.lasting * self.held
-            carry = self._next(carry, np.tile(controls[:, k], (SAMPLES, 1)), scale * noise)
+            carry = _next(self.case.noisy, carry, np.tile(controls[:, k], (SAMPLES, 1)), scale * noise)
         states = carry[:, : len(scale)].reshape(SAMPLES, self.count, -1)
         return carry, states.var(axis=0, ddof=1)
 

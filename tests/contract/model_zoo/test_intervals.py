@@ -138,6 +138,16 @@ def test_each_stretch_of_time_adds_what_is_missing_at_its_end():
     scales = horizon_scales([case], np.zeros(2), np.random.default_rng(0))
     np.testing.assert_allclose(scales, np.array([1.0, 1.0, 3.0, 3.0])[:, None] * np.ones(2), rtol=0.25)
     assert segments(20) == [(0, 1), (1, 10), (10, 20)]
+    insensitive = HeldOutCase.of(Still(), data, 60, 300, noisy=Insensitive())
+    doubled = horizon_scales([insensitive], np.zeros(2), np.random.default_rng(0))
+    np.testing.assert_allclose(doubled, 2.0 * scales)
+
+
+class Insensitive(Still):
+    """Responds half as much to noise."""
+
+    def disturbed(self, carry, control, disturbance):
+        return carry + 0.5 * disturbance
 
 
 def test_a_step_adds_noise_of_which_a_share_lasts_times_a_factor_and_counts_the_steps():
