@@ -55,7 +55,7 @@ class PySindyAdapter(Adapter):
             raise InvalidArgument(
                 f"expected a SINDy, got its optimizer: models=[pysindy.SINDy(optimizer={class_name(thing)}(...))]"
             )
-        return make_model("pysindy", model=keep_object(thing), fitted=fitted)
+        return make_model("pysindy", model=keep_object(thing), fitted=fitted or hasattr(thing, "n_features_in_"))
 
 
 @register_adapter("control")

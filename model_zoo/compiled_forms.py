@@ -24,6 +24,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, PolynomialFeatures, RobustScaler, StandardScaler
 from sklearn.svm import SVR
 
+from model_zoo.estimators import predicted
 from model_zoo.tree_ensembles import Ensemble, ensemble_of
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import Precision, Predictor
@@ -96,7 +97,7 @@ def _linear(estimator: Any, n_inputs: int) -> tuple[Array, Array] | None:
     inputs = np.random.default_rng(0).standard_normal((n_inputs + 2, n_inputs))
     expected = inputs @ coefficients + intercept
     with np.errstate(all="ignore"):
-        same = np.allclose(np.reshape(estimator.predict(inputs), expected.shape), expected, rtol=1e-6, atol=1e-9)
+        same = np.allclose(predicted(estimator, inputs).reshape(expected.shape), expected, rtol=1e-6, atol=1e-9)
     return (coefficients, intercept) if same else None
 
 

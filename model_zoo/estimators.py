@@ -45,6 +45,8 @@ LOSSES = (
 )  # fmt: skip
 TRUSTED = frozenset({
     "sklearn.utils._bunch.Bunch",
+    "sklearn.feature_selection._mutual_info.mutual_info_regression",
+    "sklearn.feature_selection._univariate_selection.f_regression",
     "sklearn.tree._tree.Tree",
     "sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor",
     "sklearn.neural_network._stochastic_optimizers.AdamOptimizer",
@@ -132,14 +134,17 @@ def fitted_estimator(unfitted: Any, inputs: Array, targets: Array, seed: int) ->
     inner = inner.steps[-1][1] if "sklearn.Pipeline" in bases_of(inner) else inner
     tags = get_tags(inner).target_tags
     separate = name in BOOSTERS or not tags.multi_output
-    if separate:
-        made = MultiOutputRegressor(made)
-    elif targets.shape[1] == 1 and tags.single_output:
+    if targets.shape[1] == 1 and tags.single_output and not separate:
         targets = targets[:, 0]
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            made.fit(inputs, targets)
+            try:
+                made = (MultiOutputRegressor(made) if separate else made).fit(inputs, targets)
+            except ValueError:  # a step of a pipeline, such as SelectKBest, may take a single output
+                if separate or targets.ndim == 1:
+                    raise
+                separate, made = True, MultiOutputRegressor(made).fit(inputs, targets)
     except Exception as error:  # a regressor from elsewhere may fail in any way
         raise InvalidArgument(f"{name} cannot be fitted to {len(inputs):,} samples: {error}") from error
     diverged = [one for one in caught if issubclass(one.category, ConvergenceWarning)]
@@ -150,6 +155,18 @@ def fitted_estimator(unfitted: Any, inputs: Array, targets: Array, seed: int) ->
         made.estimators_ = [getattr(one, "best_estimator_", one) for one in made.estimators_]
         made.estimator = clone(made.estimators_[0])
     return getattr(made, "best_estimator_", made), not diverged
+
+
+def predicted(estimator: Any, inputs: Array) -> Array:
+    """Return the outputs of a fitted ``estimator`` at finite ``inputs`` (B, m), columns without names.
+
+    An output is nan where a `RadiusNeighborsRegressor` has no neighbours.
+    """
+    from sklearn import config_context
+
+    with config_context(assume_finite=True, skip_parameter_validation=True), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "X does not have valid feature names|One or more samples have no neigh")
+        return np.asarray(estimator.predict(inputs), dtype=np.float64)
 
 
 class Boosters:

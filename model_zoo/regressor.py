@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 
 from model_zoo.compiled_forms import CompiledForm, compiled_form
-from model_zoo.estimators import Boosters, estimator_class, fitted_estimator, make_estimator, read, written
+from model_zoo.estimators import Boosters, estimator_class, fitted_estimator, make_estimator, predicted, read, written
 from model_zoo.features import Features, between_limits, integrals, next_state, next_state_predictor
 from model_zoo.scaling import deviation
 from model_zoo.tree_ensembles import has_trees
@@ -32,8 +32,6 @@ from sysid_evo.validation.held_out import HeldOutError, best_candidate, count_fi
 
 FAR = 1e30
 """Limit of the scaled inputs: trees compare them in single precision."""
-FAR_WORSE = 3.0
-"""Times the error of one step at which the outputs of a fitted regressor are taken for the other target."""
 
 
 @register_model("regressor")
@@ -47,11 +45,12 @@ class Regressor(StochasticModel):
 
     Inputs are the lagged states and controls, an angle as sine and cosine. Inputs and outputs are divided by their
     deviations, except the inputs of trees, which are rounded to single precision. ``target`` is the change of the state
-    in one step, or the next state (of positions and angles the change, see `integrals`). Lags left at None are chosen
-    by the simulation error over one second on held-out blocks of time.
+    in one step, the default, or the next state (of positions and angles the change, see `integrals`). Lags left at None
+    are chosen by the simulation error over one second on held-out blocks of time.
 
     With ``fitted`` the object is used as it is: its inputs are states, earlier states, earlier controls and controls in
-    the units of the recordings, newest first, its outputs the ``target`` of all states.
+    the units of the recordings, newest first, its outputs the ``target`` of all states, by default the one with the
+    lower error of one step.
     """
 
     knowledge = "black"
@@ -66,7 +65,7 @@ class Regressor(StochasticModel):
         self,
         *,
         estimator: Any = "HistGradientBoostingRegressor",
-        target: Literal["change", "next_state"] = "change",
+        target: Literal["change", "next_state"] | None = None,
         fitted: bool = False,
         state_lags: int | None = None,
         control_lags: int | None = None,
@@ -135,7 +134,7 @@ class Regressor(StochasticModel):
         free = between_limits(system, data.after)
         state, after = data.state[free], data.after[free]
         inputs = Features(system, self.lags)(data.carry[free], data.control[free])
-        changed = np.ones(system.nx, dtype=bool) if self.target == "change" else integrals(dataset)
+        changed = np.ones(system.nx, dtype=bool) if self.target != "next_state" else integrals(dataset)
         targets = np.where(changed, system.difference(after, state), after)
         self.added_ = changed.astype(float)
         self.output_centre_, self.output_scale_ = targets.mean(axis=0), deviation(targets)
@@ -160,33 +159,30 @@ class Regressor(StochasticModel):
         regressor = getattr(regressor, "best_estimator_", regressor)
         self.record_lags((0, 0))
         nx, names = self.system.nx, self.layout.input_names(self.system.state_names, self.system.control_names)
-        self.added_ = np.full(nx, float(self.target == "change"))
+        self.added_ = np.zeros(nx)
         self.input_centre_, self.input_scale_, self.single_ = np.zeros(len(names)), np.ones(len(names)), False
         self.output_centre_, self.output_scale_ = np.zeros(nx), np.ones(nx)
-        expected = f"regressor: expected a fitted one with the inputs {', '.join(names)} and {nx} outputs"
+        expected = (
+            f"regressor: expected a fitted one with the inputs {', '.join(names)} and {nx} outputs (an unfitted one is "
+            "fitted to the recordings: sklearn.base.clone(it))"
+        )
         given = list(getattr(regressor, "feature_names_in_", names))
         if given != names and set(given) & set(names):
             raise InvalidArgument(f"{expected}, got the inputs {', '.join(given)}")
         self._keep(regressor)
+        data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1])
         try:
-            shape = np.shape(self._regressor.predict(np.zeros((2, len(names)))))
+            found = predicted(self._regressor, np.hstack([data.carry, data.control]))
         except ValueError as error:
             raise InvalidArgument(f"{expected}: {error}") from error
-        if shape not in ((2, nx), (2,) if nx == 1 else (2, nx)):
-            raise InvalidArgument(f"{expected}, got outputs of shape {shape[1:]}")
-        data, spread = dataset.transitions(), deviation(dataset.transitions().state)
-        found = np.reshape(self._regressor.predict(np.hstack([data.state, data.control])), data.state.shape)
-        reached = {"change": data.state + found, "next_state": found}
-        errors = {
-            name: float(np.abs(self.system.difference(y, data.after) / spread).mean()) for name, y in reached.items()
-        }
-        likely = min(errors, key=lambda name: errors[name])
-        if errors[self.target] > FAR_WORSE * errors[likely]:
-            raise InvalidArgument(
-                f"regressor: its outputs are no {self.target} of the recorded states (errors of one step "
-                f"{errors[self.target]:.3g} standard deviations, as {likely} {errors[likely]:.3g}): pass "
-                f"as_model(thing, fitted=True).set_params(target={likely!r})"
-            )
+        if found.size != data.state.size or len(found) != len(data.state):
+            raise InvalidArgument(f"{expected}, got outputs of shape {found.shape[1:]}")
+        spread, found = deviation(data.state), found.reshape(data.state.shape)
+        change, next_state = (
+            float(np.abs(self.system.difference(reached, data.after) / spread).mean())
+            for reached in (data.state + found, found)
+        )
+        self.added_ += self.target == "change" or (self.target is None and change < next_state)
         return self
 
     @cached_property
@@ -197,7 +193,7 @@ class Regressor(StochasticModel):
         nx, lags = self.system.nx, self.lags
         inputs = self.layout.size + self.system.nu if self.fitted else len(Features(self.system, lags).names)
         known = int(getattr(self._regressor, "n_features_in_", inputs))
-        if known != inputs or np.size(self._regressor.predict(np.zeros((1, inputs)))) != nx:
+        if known != inputs or predicted(self._regressor, np.zeros((1, inputs))).size != nx:
             raise ShapeError(f"the stored regressor: expected {inputs} inputs and {nx} outputs, got {known} inputs")
         return {
             "stored_": Numbers("bytes", whole=True),
@@ -210,10 +206,19 @@ class Regressor(StochasticModel):
 
     @property
     def fit_note(self) -> str:
-        used = "the regressor was fitted in Python before and is used as it is" if self.fitted else ""
+        outputs = "changes" if np.any(getattr(self, "added_", 0.0)) else "next states"
+        used = (
+            f"the regressor was fitted in Python before and is used as it is, its outputs as {outputs}; "
+            "errors are too low where it was fitted to held-out data"
+        )
         given = "the regressor was given in Python" if self._from_python else ""
         early = "" if getattr(self, "converged_", True) else "the fit ended before it converged: increase max_iter"
-        return "; ".join(filter(None, (super().fit_note, used or given, early)))
+        return "; ".join(filter(None, (super().fit_note, used if self.fitted else given, early)))
+
+    @property
+    def depth_only(self) -> bool:
+        """Whether a step takes longer with more data only as trees become deeper."""
+        return self.single_
 
     @property
     def _from_python(self) -> bool:
@@ -258,16 +263,13 @@ class Regressor(StochasticModel):
         return scaled.astype(np.float32).astype(np.float64) if self.single_ else scaled
 
     def next_state(self, carry: Array, control: Array) -> Array:
-        from sklearn import config_context
-
         join = (lambda a, b: np.concatenate([a, b], axis=1)) if self.fitted else Features(self.system, self.lags)
         inputs = self._scaled(join(carry, control))
         known = np.isfinite(inputs).all(axis=1, keepdims=True)
         inputs = np.where(known, inputs, 0.0)
-        with config_context(assume_finite=True, skip_parameter_validation=True):
-            predicted = np.asarray(self._regressor.predict(inputs), dtype=np.float64).reshape(len(carry), -1)
-        predicted = np.where(known, predicted * self.output_scale_ + self.output_centre_, np.nan)
-        return next_state(self.added_, carry[:, : self.system.nx], predicted)
+        found = predicted(self._regressor, inputs).reshape(len(carry), -1)
+        found = np.where(known, found * self.output_scale_ + self.output_centre_, np.nan)
+        return next_state(self.added_, carry[:, : self.system.nx], found)
 
 
 @register_adapter("scikit_learn")
@@ -292,11 +294,12 @@ class ScikitLearnAdapter(Adapter):
         from sklearn.exceptions import NotFittedError
         from sklearn.utils.validation import check_is_fitted
 
-        if fitted:
-            try:
-                check_is_fitted(thing)
-            except NotFittedError as error:
+        try:
+            check_is_fitted(thing)
+        except NotFittedError as error:
+            if fitted:
                 raise InvalidArgument(f"fitted=True: expected a fitted regressor: {error}") from error
+        else:
             return Regressor(estimator=thing, fitted=True)
         name = type(thing).__name__
         try:

@@ -30,7 +30,7 @@ from sysid_evo.types import Array
 SAMPLES = (250, 1000)
 """Numbers of steps to which a model is fitted for a timing, to see whether a step takes longer with more data.
 
-That time is extrapolated if it is not compiled. Trees grow slowly; a compiled one is timed with the larger number.
+That time is extrapolated, unless the attribute ``depth_only`` of the model is true: trees grow in depth only.
 """
 GROWS = 1.4
 """Ratio of both times above which the time of a step is taken to grow with the data."""
@@ -57,8 +57,8 @@ def times_of_steps(
 ) -> dict[str, float]:
     """Return the seconds of a step of one rollout, by spec, of models whose step takes long.
 
-    They are fitted to the first steps of the longest episode of ``dataset``, or to random numbers without one, and will
-    be fitted to ``steps``. ``known`` times are used again, so that a run is planned twice in the same way.
+    They are fitted to some steps of ``dataset``, of its longest episodes, or to random numbers without one, and will be
+    fitted to ``steps``. ``known`` times are used again, so that a run is planned twice in the same way.
     """
     if resolve() == "reference":
         return {}
@@ -66,12 +66,21 @@ def times_of_steps(
     unknown = [spec for spec in specs if str(spec) not in times and may_be_slow(models.get(spec.name))]
     if unknown:
         data = random_steps(system, SAMPLES[-1]) if dataset is None else dataset
-        longest = max(data.episodes, key=len)
-        parts = tuple(data.with_episodes([longest[:count]]) for count in SAMPLES)
+        parts = tuple(data.with_episodes(_longest(data, count)) for count in SAMPLES)
         for spec in unknown:
             most = min(steps, spec.parameters.get("max_steps") or steps)
             times[str(spec)] = _timed(models.get(spec.name), str(spec), _Sample(data.fingerprint, parts), most)
     return {text: seconds for text, seconds in times.items() if seconds > 0.0}
+
+
+def _longest(data: Dataset, count: int) -> list[Trajectory]:
+    """Return the longest episodes with ``count`` steps in all, or fewer; the last one may be cut."""
+    found = list[Trajectory]()
+    for episode in sorted(data.episodes, key=len, reverse=True):
+        left = count - sum(map(len, found))
+        if left > 0:
+            found.append(episode[:left])
+    return found
 
 
 @dataclass(frozen=True)
@@ -85,7 +94,7 @@ class _Sample:
 @lru_cache(maxsize=64)
 def _timed(family: Any, text: str, sample: _Sample, steps: int) -> float:
     """Return the seconds, with two digits; 0 for a quick model and for one that cannot be fitted here."""
-    times, compiled = list[float](), False
+    times, grows = list[float](), False
     for data in sample.parts:
         try:
             with warnings.catch_warnings():
@@ -94,12 +103,12 @@ def _timed(family: Any, text: str, sample: _Sample, steps: int) -> float:
                 model.set_params(**(getattr(family, "timing_parameters", None) or {}))
                 model.fit(data, rng=np.random.default_rng(0))
             times.append(_seconds(model))
-            compiled = model.kernel() is not None
+            grows = model.kernel() is None or not getattr(model, "depth_only", False)
         except Exception:  # the cell of the fit reports the reason
             return 0.0
     few, more = times
     counts = [data.n_steps for data in sample.parts]
-    grows = not compiled and more > GROWS * few and counts[1] > counts[0]
+    grows = grows and more > GROWS * few and counts[1] > counts[0]
     growth = (more - few) / (counts[1] - counts[0]) if grows else 0.0
     found = more + growth * max(0, steps - counts[1])
     return float(f"{found:.2g}") if found > QUICK else 0.0

@@ -108,6 +108,11 @@ def candidates_named(given: Sequence[object]) -> list[Candidate]:
     for spec in map(as_spec, given):
         if spec.name == "auto":
             raise InvalidArgument("candidates: expected other families, got auto, which would contain itself")
+        if spec.parameters.get("fitted"):
+            raise InvalidArgument(
+                f"candidates: auto compares models on data to which they were not fitted; {spec.label} is fitted: pass "
+                "sklearn.base.clone(it)"
+            )
         models.check(spec)
         listed = [one for one in SHIPPED if one.spec.name == spec.name and one.for_family_name]
         found += (

@@ -33,8 +33,9 @@ class Adapter(ABC):
     def model(self, thing: Any, *, fitted: bool = False) -> DynamicsModel:
         """Return an unfitted model of a registered family that has ``thing`` as a hyper-parameter.
 
-        The `fit` of the model fits a copy of ``thing``. With ``fitted``, or if ``thing`` has nothing to fit, it uses
-        ``thing`` as it is, and `fit_note` reports that. Raises `InvalidArgument` for an object that cannot be used.
+        The `fit` of the model fits a copy of ``thing``. With ``fitted``, or if ``thing`` is fitted or has nothing to
+        fit, it uses ``thing`` as it is, and `fit_note` reports that. Raises `InvalidArgument` for an object that cannot
+        be used.
         """
 
     def content(self, thing: Any) -> object:
@@ -80,7 +81,8 @@ def as_model(thing: object, *, fitted: bool = False) -> DynamicsModel:
 def as_spec(given: object) -> Spec:
     """Return the spec of a text, of an unfitted model or of an object that an adapter recognises.
 
-    Its label is the name of the class or function. A preset changes no parameter of a model that is ``given`` itself.
+    Its label is the name of the class or function. A preset changes no parameter of a model that is ``given`` itself,
+    or of an object that is used as it is.
     Raises `InvalidArgument`.
     """
     if isinstance(given, Spec):
@@ -94,7 +96,8 @@ def as_spec(given: object) -> Spec:
             f"expected an unfitted {name}, got a fitted one, which would be fitted again: pass .clone_unfitted()"
         )
     defaults = models.parameters(name)
-    kept = {key for preset in model.presets.values() for key in preset} if model is given else set()
+    as_it_is = model is given or getattr(model, "fitted", False)
+    kept = {key for preset in model.presets.values() for key in preset} if as_it_is else set()
     parameters = {
         key: value
         for key, value in plain_parameters(model).items()

@@ -7,7 +7,9 @@ import sys
 import zipfile
 
 import numpy as np
+import pandas
 import pytest
+from sklearn.base import clone
 from sklearn.cluster import KMeans
 from sklearn.ensemble import (
     BaggingRegressor,
@@ -16,16 +18,18 @@ from sklearn.ensemble import (
     RandomForestRegressor,
     StackingRegressor,
 )
+from sklearn.feature_selection import SelectKBest, f_regression
 from sklearn.linear_model import LinearRegression, MultiTaskLasso, Ridge
 from sklearn.model_selection import GridSearchCV
 from sklearn.multioutput import MultiOutputRegressor, RegressorChain
-from sklearn.neighbors import KNeighborsRegressor
+from sklearn.neighbors import KNeighborsRegressor, RadiusNeighborsRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer, StandardScaler
 from sklearn.utils import all_estimators
 
 from evaluation import compare
 from evaluation.chosen_models import with_preset
+from model_zoo.auto.candidates import candidates_named
 from model_zoo.estimators import MODULES, _regressors, read, written
 from model_zoo.regressor import Regressor
 from sysid_evo import as_model, load_model, make_model, save_model
@@ -75,21 +79,50 @@ def test_a_fitted_regressor_is_used_as_it_is_and_equals_its_own_predictions(thro
     assert np.array_equal(model.simulate(run.states[0], run.controls[:50]), states)
     assert "was fitted in Python before and is used as it is" in model.fit_note
     given = as_model(forest, fitted=True)
-    assert given.target == "change"
-    with pytest.raises(InvalidArgument, match=r"are no change of the recorded.*set_params\(target='next_state'\)"):
-        given.fit(throttle_car_data)
+    assert "as it is, its outputs as next states; errors are too low where" in given.fit(throttle_car_data).fit_note
+    assert np.array_equal(given.simulate(run), model.simulate(run))
     search = GridSearchCV(Ridge(), {"alpha": [1.0, 2.0]}, cv=2).fit(inputs, np.diff(run.states, axis=0))
-    assert as_model(search, fitted=True).fit(throttle_car_data).format_ == "skops"
+    assert "its outputs as changes" in as_model(search).fit(throttle_car_data).fit_note
     search.best_estimator_.feature_names_in_ = np.array(throttle_car_data.system.control_names * 3)[: inputs.shape[1]]
     with pytest.raises(InvalidArgument, match=r"expected a fitted one with the inputs .*, got the inputs "):
         as_model(search, fitted=True).fit(throttle_car_data)
-    assert with_preset(as_spec(given), "quick").parameters["control_lags"] is None, "it has the inputs that it has"
+    spec = with_preset(as_spec(forest), "quick")
+    assert spec.parameters["fitted"]
+    assert spec.parameters["control_lags"] is None, "it has the inputs that it has"
+    with pytest.raises(InvalidArgument, match=r"RandomForestRegressor is fitted: pass sklearn\.base\.clone"):
+        candidates_named([forest])
+    assert not as_spec(clone(forest)).parameters.get("fitted")
     with pytest.raises(InvalidArgument, match=r"expected a fitted one with the inputs .*expecting 4 features as input"):
         Regressor(estimator=Ridge().fit(inputs[:, :4], run.states[1:]), fitted=True).fit(throttle_car_data)
-    with pytest.raises(InvalidArgument, match=r"and 3 outputs, got outputs of shape \(2,\)"):
+    with pytest.raises(InvalidArgument, match=r"and 3 outputs .*, got outputs of shape \(2,\)"):
         Regressor(estimator=Ridge().fit(inputs, run.states[1:, :2]), fitted=True).fit(throttle_car_data)
     with pytest.raises(InvalidArgument, match="fitted=True: expected a fitted regressor"):
         as_model(Ridge(), fitted=True)
+
+
+def test_names_of_inputs_are_checked_and_later_ignored(throttle_car_data, tmp_path):
+    run, system = throttle_car_data.episodes[0], throttle_car_data.system
+    table = pandas.DataFrame(
+        np.hstack([run.states[:-1], run.controls]), columns=[*system.state_names, *system.control_names]
+    )
+    for regressor in (Ridge(), KNeighborsRegressor(algorithm="brute")):
+        model = as_model(regressor.fit(table, run.states[1:])).fit(throttle_car_data)
+        restored = load_model(save_model(model, tmp_path / "model"))
+        assert np.array_equal(restored.simulate(run), model.simulate(run))
+
+
+def test_a_pipeline_with_a_step_for_one_output_is_fitted_for_each_state(throttle_car_data, tmp_path):
+    chosen = make_pipeline(SelectKBest(f_regression, k=2), Ridge())
+    model = Regressor(estimator=chosen, **NO_LAGS).fit(throttle_car_data)
+    run = throttle_car_data.episodes[0]
+    assert len(model._regressor.estimators_) == throttle_car_data.system.nx
+    assert np.array_equal(load_model(save_model(model, tmp_path / "model")).simulate(run), model.simulate(run))
+
+
+def test_where_a_regressor_has_no_neighbours_the_simulation_is_at_its_bound(throttle_car_data):
+    model = Regressor(estimator=RadiusNeighborsRegressor(radius=1e-9), **NO_LAGS).fit(throttle_car_data)
+    assert np.isnan(model.next_state(np.zeros((1, 3)), np.full((1, 2), 0.123))).all()
+    assert np.isfinite(model.simulate(throttle_car_data.episodes[0])).all()
 
 
 def test_lags_are_chosen_by_the_simulation_error():

@@ -96,6 +96,15 @@ def test_the_time_of_a_step_that_grows_with_the_data_is_extrapolated():
     assert found == pytest.approx(1200 / 1000 * EACH + slow_models.IN_NUMPY, rel=0.02)
 
 
+def test_the_time_of_compiled_support_vectors_is_extrapolated_and_that_of_trees_is_not(monkeypatch):
+    """Each step of a compiled model takes here as many microseconds as its fit had steps."""
+    monkeypatch.setattr(slow_models, "_seconds", lambda model: 1e-6 * len(model.training_sample_))
+    lags = "state_lags=0, control_lags=0"
+    found = planned(f"a=regressor(estimator=SVR, {lags})", f"b=regressor(estimator=DecisionTreeRegressor, {lags})")
+    times = {text[0]: seconds for text, seconds in found.experiment.step_seconds.items()}
+    assert times["a"] > 1.1 * times["b"] > 0.0
+
+
 def test_a_run_is_planned_again_with_the_same_times():
     first, fits = planned("slow"), Clock.fits
     slow_models._timed.cache_clear()
