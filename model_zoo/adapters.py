@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from types import FunctionType, ModuleType
 from typing import Any
 
@@ -14,6 +15,9 @@ from sysid_evo.laws import keep_source
 from sysid_evo.models import bases_of
 from sysid_evo.registry.objects import class_name, keep_object
 from sysid_evo.registry.plugins import PREFIX
+
+DEFAULT_LABEL = re.compile(r"[uy]\[\d+\]")
+"""Names that python-control gives to inputs and outputs without names."""
 
 
 @register_adapter("function")
@@ -79,7 +83,9 @@ class ControlAdapter(Adapter):
             )
         system = control.ss(thing)
         parts = [np.asarray(part, dtype=np.float64).tolist() for part in (system.A, system.B, system.C, system.D)]
-        return make_model("lti", model=parts if system.dt is None else [*parts, system.dt])
+        names = {"outputs": system.output_labels, "inputs": system.input_labels}
+        given = {key: labels for key, labels in names.items() if not all(map(DEFAULT_LABEL.fullmatch, labels))}
+        return make_model("lti", model=parts if system.dt is None else [*parts, system.dt], **given)
 
 
 @register_adapter("torch")

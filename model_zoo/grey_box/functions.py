@@ -49,10 +49,11 @@ class FunctionGreyBox(GreyBox):
 
     The default of ``p`` is a tuple of parameters, each a `Parameter` or ``(name, low, high)``. They are fitted as in
     any grey box. Without ``p`` nothing is fitted. A function that kernels can read (docs/extending/kernels.md) is
-    compiled; others run in NumPy.
+    compiled; others run in NumPy. An angle is continuous, beyond a turn as well.
     """
 
     knowledge = "grey"
+    periodic = True
     plugin_parameters = ("function",)
 
     function: Any = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -34,11 +35,11 @@ DIRECT = 1e8
 class LtiSystem(StateSpaceModel):
     """A linear time-invariant system of python-control, a state space or a transfer function, as it is.
 
-    x' = A x + B (u - u0), y = C x + y0: its outputs are the states of the recording and its inputs the controls, in
-    order. ``model`` is the system, or the arguments of ``control.ss`` as a list, ``[A, B, C, D]`` and the sampling time
-    of a discrete one. A continuous system is sampled with zero-order hold at the rate of the recording.
-    ``operating_point`` is ``zero``, ``mean`` (of the recorded states and controls), or given by ``operating_states``
-    and ``operating_controls``.
+    x' = A x + B (u - u0), y = C x + y0: its outputs are the states of the recording and its inputs the controls, found
+    by their names, ``outputs`` and ``inputs``, or in order if none of these occurs in the recording. ``model`` is the
+    system, or the arguments of ``control.ss`` as a list, ``[A, B, C, D]`` and the sampling time of a discrete one. A
+    continuous system is sampled with zero-order hold at the rate of the recording. ``operating_point`` is ``zero``,
+    ``mean`` (of the recorded states and controls), or given by ``operating_states`` and ``operating_controls``.
 
     If the outputs of one sample do not determine the states, a Kalman observer estimates them from the samples before.
     Its process noise acts as the controls do, with the variance in `RATIOS` of the lowest simulation error.
@@ -51,6 +52,8 @@ class LtiSystem(StateSpaceModel):
     limits: ClassVar[dict[str, Limit]] = {}
 
     model: Any = None
+    outputs: list[str] | None = None
+    inputs: list[str] | None = None
     operating_point: Literal["zero", "mean"] = "zero"
     operating_states: list[float] | None = None
     operating_controls: list[float] | None = None
@@ -64,6 +67,11 @@ class LtiSystem(StateSpaceModel):
                 f"lti: expected {system.nx} outputs, the states {', '.join(system.state_names)}, and {system.nu} "
                 f"inputs, the controls {', '.join(system.control_names)}; got {len(c)} and {b.shape[1]}"
             )
+        for name, found, names in self._labels(system):
+            if found and set(found) & set(names) and sorted(found) != sorted(names):
+                raise IncompatibleSystem(
+                    f"lti: expected the {name} {', '.join(names)}, as in the recording; got {', '.join(found)}"
+                )
         for name, given, n in (
             ("operating_states", self.operating_states, system.nx),
             ("operating_controls", self.operating_controls, system.nu),
@@ -71,9 +79,21 @@ class LtiSystem(StateSpaceModel):
             if given is not None and len(given) != n:
                 raise InvalidArgument(f"lti: {name}: expected {n} numbers, got {len(given)}")
 
+    def _labels(self, system: System) -> tuple[tuple[str, list[str] | None, Sequence[str]], ...]:
+        return (("outputs", self.outputs, system.state_names), ("inputs", self.inputs, system.control_names))
+
+    def _in_order(self, system: System) -> tuple[Array, Array, Array]:
+        """Return A, B and C at the rate of ``system``, with its controls and states in their order."""
+        a, b, c = sampled(kept_object(self.model), system.dt)
+        rows, columns = (
+            [found.index(one) for one in names] if found and set(found) & set(names) else list(range(len(names)))
+            for _, found, names in self._labels(system)
+        )
+        return a, b[:, columns], c[rows]
+
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         data = dataset.transitions()
-        a, b, c = sampled(kept_object(self.model), dataset.system.dt)
+        a, b, c = self._in_order(dataset.system)
         mean = self.operating_point == "mean"
         x0, u0 = data.state.mean(axis=0) * mean, data.control.mean(axis=0) * mean
         x0 = x0 if self.operating_states is None else np.array(self.operating_states, dtype=np.float64)
@@ -112,6 +132,9 @@ class LtiSystem(StateSpaceModel):
     def fit_note(self) -> str:
         n, ny = len(self.rest_), self.system.nx
         note = f"used as it is, with {n} states"
+        for name, found, names in self._labels(self.system):
+            if found and not set(found) & set(names):
+                note += f", its {name} {', '.join(found)} taken as {', '.join(names)}"
         if self.n_lags_:
             note += (
                 f", estimated from {ny} outputs by a Kalman observer over {self.n_lags_} samples (process noise "

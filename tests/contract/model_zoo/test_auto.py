@@ -10,7 +10,7 @@ from sklearn.linear_model import Ridge
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from model_zoo.auto.candidates import NUMBERS, SHIPPED, STEPS, Candidate, candidates_for, candidates_named
+from model_zoo.auto.candidates import NUMBERS, SHIPPED, STEPS, Candidate, candidates_for, candidates_named, unusable
 from model_zoo.auto.fitting import LARGE_LIBRARIES, FitTask, FitWork, fitted, load
 from model_zoo.auto.model import PROCESSORS, SHARE, Auto
 from model_zoo.auto.selection import (
@@ -224,6 +224,7 @@ def test_candidates_of_which_none_can_be_fitted_or_one_is_itself_are_refused(can
 def test_if_no_candidate_can_describe_the_system_the_reasons_are_given():
     turning = System((Channel("angle", "rad", period=2.0 * np.pi),), (Channel("u", low=-1.0, high=1.0),), dt=0.05)
     data = Dataset.from_arrays(turning, [np.zeros((50, 1))], [np.zeros((49, 1))])
+    assert not unusable(candidates_named([lambda x, u: -np.sin(x)])[0], turning)
     with pytest.raises(IncompatibleSystem, match=r"got none: linear.*it does not support periodic states .angle"):
         make_model("auto", candidates=["linear"]).fit(data, rng=0)
 

@@ -65,6 +65,30 @@ def test_a_transfer_function_starts_at_rest_and_simulates_as_forced_response(out
     np.testing.assert_allclose(model.simulate(np.zeros(1), u), response(SEEN, u, [0.0, 0.0])[1:], atol=1e-12)
 
 
+def test_inputs_and_outputs_are_found_by_their_names(whole):
+    expected = as_model(WHOLE).fit(whole, rng=0)
+    turned = control.ss(A, B, np.eye(2)[::-1], 0, outputs=["speed", "position"], inputs=["force"])
+    named = as_model(turned).fit(whole, rng=0)
+    u = commands(7, 40)
+    np.testing.assert_array_equal(named.simulate([0.3, -0.2], u), expected.simulate([0.3, -0.2], u))
+    assert "taken as" not in named.fit_note
+    other = as_model(control.ss(A, B, np.eye(2), 0, outputs=["a", "b"])).fit(whole, rng=0)
+    np.testing.assert_array_equal(other.simulate([0.3, -0.2], u), expected.simulate([0.3, -0.2], u))
+    assert "its outputs a, b taken as position, speed" in other.fit_note
+    with pytest.raises(IncompatibleSystem, match=r"expected the outputs position, speed, .*got speed, height"):
+        as_model(control.ss(A, B, np.eye(2), 0, outputs=["speed", "height"])).fit(whole, rng=0)
+
+
+def test_controls_are_found_by_their_names():
+    two = System(POSITION.states, (Channel("left", "", -1.0, 1.0), Channel("right", "", -1.0, 1.0)), DT)
+    u = np.stack([commands(1, 40), commands(2, 40)], axis=1)
+    plant = control.ss(-1.0, [[2.0, -1.0]], 1.0, 0)
+    data = Dataset.from_arrays(two, [np.linspace(0.0, 1.0, 41)[:, None]], [u])
+    turned = control.ss(-1.0, [[-1.0, 2.0]], 1.0, 0, inputs=["right", "left"])
+    first, second = (as_model(one).fit(data, rng=0).simulate(np.zeros(1), u) for one in (plant, turned))
+    np.testing.assert_array_equal(first, second)
+
+
 def test_hidden_states_are_estimated_from_history(output):
     model = as_model(SEEN).fit(output, rng=0)
     assert 2 <= model.n_lags <= 66
