@@ -173,7 +173,7 @@ def plan_comparison(
         if column is not None and column.timed:  # not decided again elsewhere
             trials = next(run.settings.trials for run in matrix.runs if run.settings.column == column)
             experiment = experiment.model_copy(update={"reference": reference, "robot_trials": trials})
-        exploitability = AssessExploitability(matrix, data, experiment.seed).cell()
+        exploitability = AssessExploitability(matrix, data).cell()
     held_out_scores = (
         {label: ScoreFit(fit).cell() for label, fit in fits.items()} if experiment.stop_after == "fit" else {}
     )

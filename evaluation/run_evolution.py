@@ -266,6 +266,5 @@ def exploit_result(
     if data is None:
         return matrix, None
     parts = store.load(data)
-    fitted = {label: dynamics for label, dynamics in models.items() if label != on_robot}
-    looked = assess_exploitability(matrix, parts.training, parts.test, models=fitted, seed=seed)
+    looked = assess_exploitability(matrix, parts.training, parts.test)
     return matrix, next(one for one in looked if one.model == target.label)

@@ -120,24 +120,21 @@ class AssessExploitability(CellSettings):
 
     matrix: PlannedMatrix
     data: Cell
-    seed: int
 
     def cell(self) -> Cell[AssessExploitability]:
         """Return the cell of the findings on every model."""
         matrix = self.matrix
-        models = (cell for column in matrix.columns for cell in column.needs)
         return Cell(
             kind="exploit",
             name="exploitability",
             title="assess exploitability",
             settings=self,
-            needs=(self.data, *matrix.controllers, *matrix.runs, *models),
+            needs=(self.data, *matrix.controllers, *matrix.runs),
             expected_seconds=1.0 * len(matrix.columns),
         )
 
     def inputs(self) -> dict[str, Any]:
         return {
-            "seed": self.seed,
             "columns": [[column.label, column.family] for column in self.matrix.columns],
             "rows": [champion.name for champion in self.matrix.controllers],
             "robot": self.matrix.robot,
@@ -154,9 +151,7 @@ class AssessExploitability(CellSettings):
         matrix = self.matrix.of(outcome)
         if matrix is None:
             return ()
-        found = {one.label: work.result(one.model) for one in self.matrix.columns if one.model is not None}
-        models = {label: model for label, model in found.items() if model is not None}
-        return assess_exploitability(matrix, parts.training, parts.test, models=models, seed=self.seed)
+        return assess_exploitability(matrix, parts.training, parts.test)
 
 
 @dataclass(frozen=True)
@@ -279,6 +274,6 @@ class SearchExploit(CellSettings):
 
 
 CELL_KINDS["run"] = CellKind(result_of(TransferResult))
-CELL_KINDS["exploit"] = CellKind(result_of(tuple[ModelExploitability, ...]), version=2, tolerant=True)
+CELL_KINDS["exploit"] = CellKind(result_of(tuple[ModelExploitability, ...]), version=3, tolerant=True)
 CELL_KINDS["advise"] = CellKind(result_of(ModelAdvice), tolerant=True)
 CELL_KINDS["search"] = CellKind(CONTROLLERS, version=2)

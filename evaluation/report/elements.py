@@ -199,14 +199,13 @@ class Cards:
 
 @dataclass(frozen=True)
 class Card:
-    """One model: verdict and sentences, one line if ``folded``; ``watch`` is a row of the replay, from ``time`` on."""
+    """One model: verdict and sentences, one line if ``folded``; ``watch`` is a row of the replay."""
 
     title: str
     tone: Tone
     verdict: str
     sentences: Sequence[str]
     watch: str = ""
-    time: float = 0.0
     folded: bool = False
 
 
@@ -230,8 +229,3 @@ def wide_and_narrow(
     """Return a keyed drawing for a wide screen and for a phone, heights in inches."""
     wide = Drawing(key, label, draw, WIDE, height, keyed=True, off=off)
     return DrawingPair(wide, replace(wide, key=f"{key}-narrow", width=NARROW, height=narrow_height))
-
-
-def trial_name(controller: str, trial: int) -> str:
-    """Return the row of the replay that shows this trial of a controller, counted from 0."""
-    return controller if trial == 0 else f"{controller}, trial {trial + 1}"

@@ -122,7 +122,7 @@ def save_report(
     return document, write_page(Path(folder) / PAGE, lambda: story_of(report), made_of=made_of, afresh=afresh)
 
 
-SCHEMA: Literal["sysid-evo/report/7"] = "sysid-evo/report/7"
+SCHEMA: Literal["sysid-evo/report/8"] = "sysid-evo/report/8"
 
 
 class ReportDocument(Part):
@@ -134,7 +134,7 @@ class ReportDocument(Part):
 
     model_config = ConfigDict(title="report.json of sysid-evo")
 
-    schema_: Literal["sysid-evo/report/7"] = Field(default=SCHEMA, alias="schema")
+    schema_: Literal["sysid-evo/report/8"] = Field(default=SCHEMA, alias="schema")
     title: str
     answers: tuple[Answer, ...]
     controllers: ControllersPart | None

@@ -170,7 +170,7 @@
       const title = element.insertBefore(document.createElementNS(SVG, "title"), element.firstChild);
       title.textContent = sentence;
       if (!played.has(row)) continue;
-      const watch = () => document.dispatchEvent(new CustomEvent("watch", { detail: { row, time: 0 } }));
+      const watch = () => document.dispatchEvent(new CustomEvent("watch", { detail: row }));
       element.classList.add("plays");
       element.addEventListener("click", watch);
       if (!element.querySelector("text")) continue;

@@ -404,22 +404,21 @@
     event.preventDefault();
   });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => seek(time));
-  function watch(name, seconds) {
+  function watch(name) {
     row.value = name;
     choose(name);
-    seek(seconds);
+    seek(0);
     player.scrollIntoView();
     play.focus();
     start(true);
   }
 
   for (const card of document.querySelectorAll(".watch")) {
-    const seconds = Number(card.dataset.time);
-    const button = element("button", card, `Watch ${card.dataset.row}${seconds ? ` at ${Math.round(seconds)} s` : ""}`);
+    const button = element("button", card, `Watch ${card.dataset.row}`);
     button.type = "button";
-    button.addEventListener("click", () => watch(card.dataset.row, seconds));
+    button.addEventListener("click", () => watch(card.dataset.row));
   }
-  document.addEventListener("watch", (event) => watch(event.detail.row, event.detail.time)); // a dot of a figure
+  document.addEventListener("watch", (event) => watch(event.detail)); // a dot of a figure
   all.addEventListener("click", () => {
     const on = screens.classList.toggle("all");
     all.setAttribute("aria-pressed", String(on));

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -20,9 +20,7 @@ from evaluation.report.elements import (
     ReplayElement,
     Section,
     present,
-    trial_name,
 )
-from evaluation.report.sections.exploitability import trials_to_watch
 from evaluation.results import ComparisonResults
 from evaluation.transfer.matrix import Trace, TransferMatrix
 from sysid_evo.angles import wrap
@@ -41,7 +39,7 @@ def section(report: ComparisonResults) -> Section | None:
     matrix, summary = report.matrix, report.transfer
     if matrix is None or summary is None:
         return None
-    shown = replay(matrix, first=summary.pick, watched=trials_to_watch(report.exploitability, matrix))
+    shown = replay(matrix, first=summary.pick)
     items = [] if shown is None else present(shown, traces_picture(matrix))
     return Section("Replay", items, absent=_absent(report, shown))
 
@@ -68,21 +66,18 @@ OVER_TIME = (
 )
 IN_SPACE = " Above: seen from above, below: from the side, with up at the top."
 CONTROLS = (
-    " Bars: the controls, from neutral. All systems start from the same state, that of the first trial if no other is "
-    "named. Keys: space plays and pauses, comma and full stop go one step back and forward."
+    " Bars: the controls, from neutral. All systems start from the same state. Keys: space plays and pauses, comma and "
+    "full stop go one step back and forward."
 )
 
 MOST_NUMBERS = 1_200_000
 """Numbers in the trials of a page, about 3 MB; beyond it trials on models not evolved in are left out."""
 
 
-def replay(
-    matrix: TransferMatrix, *, first: str | None = None, watched: Mapping[str, int] | None = None
-) -> ReplayElement | None:
+def replay(matrix: TransferMatrix, *, first: str | None = None) -> ReplayElement | None:
     """Return the first kept trial of every cell; None if no cell has one.
 
-    The controller ``first`` is shown at the start (default: the first row). ``watched`` names one more trial of some
-    controllers, by its number from 0, which is shown too if it was kept.
+    The controller ``first`` is shown at the start (default: the first row).
     """
     system = next((champion.system for champion in matrix.champions if champion.system is not None), None)
     kept = [trace for cell in matrix.cells.values() for trace in cell.traces[:1]]
@@ -92,10 +87,10 @@ def replay(
     rows: dict[str, None] = {}
     runs: list[dict[str, Any]] = []
     numbers = left_out = 0
-    for champion, trial in _trials(matrix, watched or {}):
-        row = trial_name(champion.name, trial)
-        cells = {column: matrix.cell(champion.name, column).traces for column in _ordered(matrix, champion)}
-        traces = {column: kept[trial] for column, kept in cells.items() if trial < len(kept)}
+    for champion in matrix.champions:
+        row = champion.name
+        cells = {column: matrix.cell(row, column).traces for column in _ordered(matrix, champion)}
+        traces = {column: kept[0] for column, kept in cells.items() if kept}
         robot = traces.get(matrix.robot or "")
         for column, trace in traces.items():
             own, on_robot = column in champion.against, column == matrix.robot
@@ -122,14 +117,6 @@ def replay(
     space = IN_SPACE if paths and isinstance(system.motion, RigidBody) else ""
     caption = (ON_A_PLANE if paths else OVER_TIME) + space + CONTROLS + fewer
     return ReplayElement(tuple(rows), text.replace("<", "\\u003c"), paths, caption)
-
-
-def _trials(matrix: TransferMatrix, watched: Mapping[str, int]) -> Iterator[tuple[Champion, int]]:
-    """Yield each controller with its first trial, and with the one more to watch."""
-    for champion in matrix.champions:
-        yield champion, 0
-        if watched.get(champion.name):
-            yield champion, watched[champion.name]
 
 
 def _ordered(matrix: TransferMatrix, champion: Champion) -> tuple[str, ...]:

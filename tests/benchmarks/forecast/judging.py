@@ -73,12 +73,11 @@ def seen(record: Record, car: int, run: str, rule: ForecastRule) -> Seen:
         error=float(np.mean([columns[label]["error"] for label in against])) if against else np.nan,
         name=record.get("name", ""),
         terms={}
-        if "optimism" not in record
+        if not all("outside" in column for column in columns.values())
         else {
             "nothing else": 0.0,
             "claimed less forecast": claimed - value,
             "other families less forecast": others - value,
-            "optimism": record["optimism"],
             "outside the data": apart * float(np.mean([column["outside"] for column in columns.values()])),
             "probes": apart * float(np.mean([columns[label]["probed"] for label in against])) if against else 0.0,
         },

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ import numpy as np
 
 from evaluation.cells.plants import runner_of
 from evaluation.exploitability import Steps, probe_limits, training_support
-from evaluation.exploitability.optimism import optimism, others_of
 from evaluation.exploitability.probes import ProbeLimit
 from evaluation.prediction.scores import HORIZON
 from evaluation.report import ReportDocument, load_report
@@ -33,8 +32,8 @@ from sysid_evo.types import Array
 
 TRIALS, TRUTH, OTHER = 100, 300, 1_000_000
 """Trials on every model, trials on the car, and what is added to the seed so that these are other ones."""
-RECORDED, JUDGED = 2, 2
-"""Trials whose states are looked at, and those in which optimism is measured."""
+RECORDED = 2
+"""Trials whose states are looked at."""
 
 Record = dict[str, Any]
 
@@ -43,7 +42,7 @@ Record = dict[str, Any]
 class Material:
     """The models of a run, and what is known about them without the car.
 
-    Without ``support`` of the data neither what is outside them nor probes and optimism are looked at.
+    Without ``support`` of the data neither what is outside them nor probes are looked at.
     """
 
     models: dict[str, DynamicsModel]
@@ -99,7 +98,6 @@ def records_of(champion: Champion, name: str, material: Material, car: Runner) -
     everyone = np.stack([champion.parameters, *others])
     columns = {label: _column(champion, everyone, label, material) for label in material.models}
     truth = _run(champion, everyone, car, material.seed + OTHER, TRUTH).fitness
-    own = champion.against[0] if len(champion.against) == 1 and material.support is not None else None
     return [
         {
             "name": name,
@@ -107,11 +105,6 @@ def records_of(champion: Champion, name: str, material: Material, car: Runner) -
             "against": list(champion.against),
             "achieved": float(truth[number].mean()),
             "columns": {label: rows[number] for label, rows in columns.items()},
-            **(
-                {}
-                if material.support is None
-                else {"optimism": _optimism(replace(champion, parameters=parameters), own, material)}
-            ),
         }
         for number, parameters in enumerate(everyone)
     ]
@@ -147,15 +140,6 @@ def _run(
 ) -> Rollouts:
     controller, task = make_controller(champion.controller), make_task(champion.task)
     return runner.bind(controller, task)(everyone, transfer_seeds(seed, trials), record=record)
-
-
-def _optimism(champion: Champion, own: str | None, material: Material) -> float:
-    """Return the optimism of the one model that a controller was evolved in, 0 where it is not known."""
-    if own is None:
-        return 0.0
-    others = others_of(own, material.models, material.families)
-    found = optimism(champion, material.models[own], others, transfer_seeds(material.seed, JUDGED))
-    return 0.0 if found is None else found.value
 
 
 def _newest(folder: Path, name: str) -> Path:

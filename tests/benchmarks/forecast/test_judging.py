@@ -68,7 +68,7 @@ def test_an_interval_over_cars_is_wider_than_over_runs_where_cars_differ() -> No
 def test_what_is_seen_is_forecast_by_the_rule_and_nothing_of_the_robot_enters() -> None:
     column = {"family": "a", "error": 0.1, "fitness": [9.0, 11.0], "outside": 0.1, "probed": 0.0}
     columns = {"a": column, "b": {**column, "family": "b", "fitness": [7.0, 9.0]}}
-    record: Record = {"against": ["a"], "achieved": 5.0, "columns": columns, "optimism": 0.0}
+    record: Record = {"against": ["a"], "achieved": 5.0, "columns": columns}
     one, other = (seen({**record, "achieved": achieved}, 0, "0", FORECAST_RULE) for achieved in (5.0, 50.0))
     assert (one.forecast, one.unit, one.claimed, one.others) == (other.forecast, other.unit, 10.0, 8.0)
     assert 8.0 < one.forecast < 9.0
@@ -84,7 +84,7 @@ def test_where_some_models_alone_are_asked_nobody_else_says_anything() -> None:
     column = {"family": "a", "error": 0.1, "fitness": [9.0, 11.0], "outside": 0.1, "probed": 0.0}
     columns = {"a": column, "b": {**column, "family": "b"}, "c": {**column, "family": "c"}}
     records: list[Record] = [
-        {"against": list(against), "achieved": 5.0, "columns": columns, "optimism": 0.0} for against in ("a", "ab", "c")
+        {"against": list(against), "achieved": 5.0, "columns": columns} for against in ("a", "ab", "c")
     ]
     found = asked_only(records, ("a", "b"))
     assert [record["against"] for record in found] == [["a"], ["a", "b"]]

@@ -113,7 +113,7 @@ def test_the_short_table_of_controllers_fits_eighty_columns():
 def test_report_json_holds_every_interval():
     matrix = made_up.matrix(FITNESS, robot="car", against={"hand": ()})
     document = json.loads(json.dumps(to_json(made_up.report(transfer=matrix)), allow_nan=False))
-    assert document["schema"] == "sysid-evo/report/7"
+    assert document["schema"] == "sysid-evo/report/8"
     assert document["transfer"]["interval"] == CONFIDENCE
     cell = document["transfer"]["cells"][0]
     assert cell["interval"][0] < cell["mean"] < cell["interval"][1]

@@ -11,7 +11,6 @@ import jsonschema
 import numpy as np
 import pytest
 
-from evaluation.exploitability.optimism import Optimism
 from evaluation.exploitability.results import UnderratedController
 from evaluation.prediction import assess_prediction
 from evaluation.report import (
@@ -196,7 +195,7 @@ def test_every_kind_of_report_keeps_the_schema(whole, validator):
 def test_the_schema_has_the_number_of_the_document():
     schema = report_schema()
     assert schema["properties"]["schema"]["const"] == SCHEMA
-    assert schema["$id"] == "urn:sysid-evo:report:7"
+    assert schema["$id"] == "urn:sysid-evo:report:8"
 
 
 def test_a_document_that_lacks_a_key_or_has_another_kind_of_value_is_refused(validator):
@@ -221,10 +220,10 @@ def test_a_stored_report_is_read_as_it_was_written(tmp_path, whole):
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        ({"schema": "sysid-evo/report/6"}, "expected a report of schema sysid-evo/report/7, got 'sysid-evo/report/6'"),
+        ({"schema": "sysid-evo/report/7"}, "expected a report of schema sysid-evo/report/8, got 'sysid-evo/report/7'"),
         ({"title": 3}, "title: Input should be a valid string, got 3"),
         ({"transfer": {"cells": [], "unit": None}}, "transfer.unit: Input should be a valid string, got None"),
-        (None, "expected a report of schema sysid-evo/report/7, got None"),
+        (None, "expected a report of schema sysid-evo/report/8, got None"),
     ],
 )
 def test_a_report_of_another_version_or_with_another_kind_of_value_is_refused_with_the_remedy(tmp_path, changed, said):
@@ -245,11 +244,9 @@ def test_a_report_that_is_missing_or_cut_off_is_refused_with_the_remedy(tmp_path
 
 def test_what_is_not_a_number_is_null_wherever_it_stands():
     guess = UnderratedController("c", float("nan"), float("inf"))
-    single = Optimism(1.0, float("nan"), float("nan"), 0.5, 0, 2.0)
-    made = replace(chosen.report(), exploitability=(exploited(model="a", underrated=(guess,), optimism=single),))
+    made = replace(chosen.report(), exploitability=(exploited(model="a", underrated=(guess,)),))
     (found,) = to_json(made)["exploitability"]
     assert found["underrated"] == [{"controller": "c", "here": None, "elsewhere": None}]
-    assert (found["optimism"]["low"], found["optimism"]["value"]) == (None, 1.0)
     assert json.dumps(found, allow_nan=False)
 
 

@@ -106,15 +106,6 @@ def test_the_controller_to_take_is_shown_first(found):
     assert document_of(replay(found, first=None))["first"] == "known_c"
 
 
-def test_another_trial_that_is_to_be_watched_is_a_row_of_its_own_where_it_was_kept(found):
-    shown = replay(found, watched={"sliding_c": 2})
-    assert shown.rows == ("known_c", "sliding_c", "sliding_c, trial 3")
-    runs = [run for run in document_of(shown)["runs"] if run["row"] == "sliding_c, trial 3"]
-    assert [run["column"] for run in runs] == ["car", "sliding"]  # elsewhere the first trial alone is kept
-    third = found.cell("sliding_c", "sliding").traces[2].trajectory.pose
-    np.testing.assert_allclose(unpacked(runs[1]["pose"]), third, atol=1e-4)
-
-
 def test_without_a_kept_trial_there_is_no_replay(found):
     assert replay(matrix(traces=0)) is None
     failed = {key: Cell(*key, reason="broken") for key in found.cells}

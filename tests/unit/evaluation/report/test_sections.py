@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from evaluation.exploitability import ProbeResult
-from evaluation.exploitability.optimism import Optimism
 from evaluation.linearisation import LinearResponse, OperatingPoint
 from evaluation.plot_style import new_figure
 from evaluation.prediction import PERSISTENCE, assess_prediction
@@ -34,7 +33,7 @@ from evaluation.report.sections.error_analysis import (
     residual_sheet,
 )
 from evaluation.report.sections.evolution import fitness_picture
-from evaluation.report.sections.exploitability import exploitability_cards, outside_range_table, trials_to_watch
+from evaluation.report.sections.exploitability import exploitability_cards, outside_range_table
 from evaluation.report.sections.prediction import SHOWN_MODELS, difference_table, error_table, free_run_picture
 from evaluation.report.sections.replay import traces_picture
 from evaluation.report.sections.transfer import CONTROLLERS, FAMILIES, paper_sheet, transfer_sheet
@@ -290,10 +289,6 @@ def kept():
     return replace(made, cells={**made.cells, ("linear", "linear"): cell})
 
 
-def helped(trial, value=2.0):
-    return Optimism(value, value - 1.0, value + 1.0, 0.8, trial, 6.0)
-
-
 def cards_of(models, transfer):
     return exploitability_cards(replace(chosen.report(transfer=transfer), exploitability=tuple(models))).cards
 
@@ -308,24 +303,9 @@ def test_a_card_begins_with_its_verdict_and_keeps_the_other_sentences(kept):
     assert cards[-1].verdict == "trusted: claims 10.00, achieves 4.00"
 
 
-@pytest.mark.parametrize(
-    ("optimism", "watch", "time", "worst"),
-    [
-        pytest.param(helped(2), "linear, trial 3", 5.0, {"linear": 2}, id="that helps the task most, a second before"),
-        *(pytest.param(one, "linear", None, {}, id="the first") for one in (None, helped(5), helped(1, -2.0))),
-    ],
-)
-def test_a_card_shows_a_trial(kept, optimism, watch, time, worst):
-    model = exploited(optimism=optimism)
-    (card,) = cards_of([model], kept)
-    assert card.watch == watch
-    assert time in (None, card.time)
-    assert trials_to_watch([model], kept) == worst
-
-
-def test_a_model_without_a_kept_trial_has_nothing_to_watch():
-    made = matrix({"linear": {"linear": 10.0, "car": 4.0}}, robot="car")
-    assert cards_of([exploited(optimism=helped(2))], made)[0].watch == ""
+def test_a_card_shows_a_trial_that_was_kept(kept):
+    none = matrix({"linear": {"linear": 10.0, "car": 4.0}}, robot="car")
+    assert [cards_of([exploited()], made)[0].watch for made in (kept, none)] == ["linear", ""]
 
 
 FORECAST = {
