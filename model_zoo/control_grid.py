@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
@@ -53,11 +52,6 @@ class ControlGrid:
     def midpoints(self) -> tuple[Array, ...]:
         """The boundaries between the levels of each control; a boundary belongs to the lower level."""
         return tuple((levels[1:] + levels[:-1]) / 2.0 for levels in self.levels)
-
-    @property
-    def centres(self) -> Array:
-        """The levels of each cell, (count, nu)."""
-        return np.array(list(product(*self.levels)), dtype=np.float64).reshape(self.count, len(self.levels))
 
     def index(self, control: Array) -> IntArray:
         """Return the cell of each control, (B, nu) -> (B,)."""

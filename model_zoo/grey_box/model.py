@@ -290,11 +290,6 @@ class GreyBox(DynamicsModel):
             return None
         return ResidualNetwork(self.residual_points_, self.residual_lengths_, self.residual_weights_)
 
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """The names of ``parameters_``: those of the law, then those of the options."""
-        return tuple(parameter.name for parameter in self._structure_on(self.system).parameters)
-
     def parameters_table(self) -> list[dict[str, Any]]:
         """Return name, value, standard error, unit, bounds of every parameter, and whether the data determine it.
 

@@ -95,7 +95,7 @@ made = {
     "emulated_car": {"seed": 3}, "cart_pole": {"seed": 3}, "pendulum": {"seed": 3}, "thermal": {"seed": 3},
     "gymnasium": {"id": "Pendulum-v1"},
     "serial": {"port": "/dev/nowhere", "tracker": tracker, "gate": {"speed": 8.0}},
-    "natnet": {"body": "car"}, "replay": {"body": "car", "path": "no such log"}, "udp": {"body": "car", "port": 5005},
+    "natnet": {"body": "car"}, "udp": {"body": "car", "port": 5005},
     "vicon": {"body": "car"}, "vrpn": {"body": "car"},
 }
 factories = {name: registry.get(name) for registry in (robots, trackers) for name in registry.names()}

@@ -3,7 +3,6 @@
 import json
 import math
 import os
-import select
 import struct
 import zlib
 from dataclasses import replace
@@ -17,9 +16,7 @@ from hardware.connection import Command, GateLimits, Measurement, RobotStatus
 from hardware.recording.journal import LONGEST, MAGIC, SCHEMA, Recorder, read_journal
 from hardware.recording.journal_reader import raw_log
 from hardware.toy_car import CAR
-from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
-from sysid_evo.registry import trackers
-from tests.fixtures.trackers import read_all
+from sysid_evo.errors import InvalidArgument, InvalidData
 
 GO = Command(0, 5.0, 5.0, np.array([1.0, 0.0]))
 
@@ -238,37 +235,3 @@ def test_journal_without_a_run_is_refused_as_a_log(path):
     session(path, 0).close()
     with pytest.raises(InvalidData, match="never driven"):
         raw_log(read_journal(path))
-
-
-def test_replay_at_speed_0_gives_frames_when_asked_with_the_times_of_the_log(tmp_path):
-    log = tmp_path / "log.csv"
-    log.write_text("t,x,y,heading,drive\n" + "".join(f"{1 + 0.01 * i},{i},0.5,-0.25,1\n" for i in range(20)))
-    with trackers.make("replay", body="car", path=str(log), speed=0.0).open() as stream:
-        assert select.select([stream], [], [], 0.0)[0] == [stream]
-        frames, _ = read_all(stream)
-    assert [frame.source_time for frame in frames] == pytest.approx(1.0 + 0.01 * np.arange(20))
-    assert [frame.pose[0] for frame in frames] == list(range(20))
-
-
-def test_replay_of_a_journal_gives_its_frames(car, tmp_path):
-    times = enumerate((1.0, 1.1, 1.2, 1.3))
-    told = [Measurement(t, t + 0.004, n, "car", n != 2, np.array([t, 0, 0])) for n, t in times]
-    with Recorder(tmp_path / "run.rcj", car, robot="toy") as recorder:
-        for frame in told:
-            recorder.on_measurement(frame)
-    with trackers.make("replay", body="car", path=str(tmp_path / "run.rcj"), speed=0.0).open() as stream:
-        frames, _ = read_all(stream)
-    assert [(frame.source_time, frame.valid) for frame in frames] == [(one.source_time, one.valid) for one in told]
-    with pytest.raises(LinkLost, match="no frame of 'truck'"):
-        trackers.make("replay", body="truck", path=str(tmp_path / "run.rcj"), speed=0.0).open()
-
-
-def test_logs_that_cannot_be_replayed_are_refused(tmp_path):
-    path = tmp_path / "x.csv"
-    with pytest.raises(InvalidArgument, match="speed"):
-        trackers.make("replay", body="car", path="x.csv", speed=-1.0)
-    with pytest.raises(InvalidData, match="expected a log"):
-        trackers.make("replay", body="car", path=str(path)).open()
-    path.write_text("t,x,y,heading\n1,0,0,0\n0,0,0,0\n")
-    with pytest.raises(InvalidData, match="rising"):
-        trackers.make("replay", body="car", path=str(path)).open()

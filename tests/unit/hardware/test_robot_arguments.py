@@ -6,7 +6,7 @@ import pytest
 
 from hardware.robot import Robot
 from hardware.trackers.tracker import Tracker
-from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost, MissingExtra
+from sysid_evo.errors import InvalidArgument, LinkLost, MissingExtra
 from sysid_evo.registry import robots, trackers
 
 KINDS = [(robots, name) for name in robots.names()] + [(trackers, name) for name in trackers.names()]
@@ -57,7 +57,6 @@ UDP = {"driver": "udp", "body": "car"}
         ("natnet", {"scale": 0.0}, "tracker: scale: expected a number above 0, got 0.0"),
         ("vicon", {"scale": "mm"}, "tracker: scale: expected a number above 0, got 'mm'"),
         ("vrpn", {"up": "x"}, "tracker: up: expected one of 'y', 'z', got 'x'"),
-        ("replay", {"path": "x", "speed": -1}, "tracker replay: speed: expected a number of 0"),
     ],
 )
 def test_a_value_that_cannot_be_is_refused_in_a_sentence_when_the_robot_is_made(name, arguments, sentence):
@@ -73,13 +72,8 @@ def test_a_port_that_is_not_there_is_found_without_opening_anything():
     robots.make("serial", port="/dev/null").check()
 
 
-def test_a_robot_asks_its_tracker_what_is_missing():
-    robot = robots.make("serial", port="/dev/null", tracker={"driver": "replay", "body": "car", "path": "nowhere.rcj"})
-    with pytest.raises(InvalidData, match=r"nowhere\.rcj: expected a log, found no such file"):
-        robot.check()
-
-
-def test_a_tracker_with_a_missing_package_names_its_installation(monkeypatch):
+def test_a_robot_asks_its_tracker_what_is_missing(monkeypatch):
+    robot = robots.make("serial", port="/dev/null", tracker={"driver": "natnet", "body": "car"})
     monkeypatch.setattr(trackers.get("natnet"), "requires", ("no_such_package",))
     with pytest.raises(MissingExtra, match="tracker 'natnet' needs the package 'no_such_package'"):
-        trackers.make("natnet", body="car").check()
+        robot.check()

@@ -1,6 +1,7 @@
 """The nearest-neighbour family, the cells that sort its data, and the distance of several neighbours."""
 
 import tracemalloc
+from itertools import product
 
 import numpy as np
 import pytest
@@ -87,8 +88,9 @@ def test_every_pair_of_levels_is_a_cell_and_its_own_centre():
     grid = cells(Channel("a", levels=(-1, 0, 1)), Channel("b", low=0.0, high=1.0), levels=4)
     assert grid.count == 12
     assert grid.exact == (1,)
-    np.testing.assert_array_equal(grid.index(grid.centres), np.arange(12))
-    np.testing.assert_allclose(np.unique(grid.centres[:, 1]), [0.0, 1 / 3, 2 / 3, 1.0])
+    every = np.array(list(product(*grid.levels)), dtype=np.float64)
+    np.testing.assert_array_equal(grid.index(every), np.arange(12))
+    np.testing.assert_allclose(np.unique(every[:, 1]), [0.0, 1 / 3, 2 / 3, 1.0])
 
 
 def test_a_control_belongs_to_its_nearest_level_also_beyond_the_limits():
