@@ -232,12 +232,8 @@ def evaluate(inputs: Array, exponents: IntArray) -> Array:
 
 def term_name(exponents: IntArray, names: Sequence[str]) -> str:
     """Return one monomial as text, such as ``forward_speed^2 steer``; ``1`` for the constant."""
-    return " ".join(factors(exponents, names)) or "1"
-
-
-def factors(exponents: IntArray, names: Sequence[str]) -> list[str]:
-    """Return the factors of one monomial as text, such as ``forward_speed^2``."""
-    return [name if power == 1 else f"{name}^{power}" for name, power in zip(names, exponents, strict=True) if power]
+    pairs = zip(exponents, names, strict=True)
+    return " ".join(name if power == 1 else f"{name}^{power}" for power, name in pairs if power) or "1"
 
 
 def equation(

@@ -16,9 +16,9 @@ from sysid_evo.registry.grammar import Spec
 from sysid_evo.types import Array
 
 NAMES = (
-    "STLSQ", "SR3", "ConstrainedSR3", "FROLS", "SSR", "MIOSR", "SBR", "EnsembleOptimizer", "WrappedOptimizer",
+    "STLSQ", "SR3", "FROLS", "SSR", "MIOSR", "SBR", "EnsembleOptimizer", "WrappedOptimizer",
 )  # fmt: skip
-NEEDS: Mapping[str, str] = {"ConstrainedSR3": "cvxpy", "MIOSR": "gurobipy", "SBR": "numpyro"}
+NEEDS: Mapping[str, str] = {"MIOSR": "gurobipy", "SBR": "numpyro"}
 """Packages required in addition to pysindy."""
 REFUSED: Mapping[str, str] = {
     "StableLinearSR3": "its guarantee does not hold for states in different units and with controls",
@@ -43,7 +43,7 @@ def read_optimizer(text: str) -> Spec:
     raise InvalidArgument(f"optimizer: expected one of {', '.join(NAMES)}, got {spec.name!r}")
 
 
-def make_optimizer(text: str, **further: Any) -> Any:
+def make_optimizer(text: str) -> Any:
     """Return pysindy's optimiser. Raises `InvalidArgument` if its arguments are wrong, or a package is missing."""
     spec = read_optimizer(text)
     needed = NEEDS.get(spec.name)
@@ -62,7 +62,7 @@ def make_optimizer(text: str, **further: Any) -> Any:
     if unknown:
         raise InvalidArgument(f"optimizer: {spec.name} has no parameter {unknown[0]!r}; it has {', '.join(known)}")
     try:
-        return family(**given, **further)
+        return family(**given)
     except (TypeError, ValueError, NotImplementedError) as error:
         raise InvalidArgument(f"optimizer: {spec.text}: {error}") from error
 
@@ -70,7 +70,7 @@ def make_optimizer(text: str, **further: Any) -> Any:
 def _value(spec: Spec, name: str, value: Any) -> Any:
     """Return an argument; an optimiser, an estimator of scikit-learn and an aggregator are given by name."""
     if name.startswith("constraint_") or name in ("initial_guess", "sparse_ind"):
-        raise InvalidArgument(f"optimizer: {spec.name}: {name} is an array; use constraints=['TERM in STATE <= 0']")
+        raise InvalidArgument(f"optimizer: {spec.name}: {name} is an array, which a text cannot hold")
     if name == "opt" and isinstance(value, str):
         return make_optimizer(value)
     if name == "ensemble_aggregator" and value is not None:

@@ -1,16 +1,14 @@
-"""Sparse regression by pysindy: candidate terms, optimiser, constraints, choice of degree, threshold and lags."""
+"""Sparse regression by pysindy: candidate terms, optimiser, choice of degree, threshold and lags."""
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations, product
+from itertools import product
 from typing import Any, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from model_zoo.features import Features
 from model_zoo.polynomial.libraries import WeakForm, basis_of, read_library, testing_functions
@@ -20,10 +18,8 @@ from model_zoo.polynomial.model import (
     PolynomialModel,
     Regression,
     evaluate,
-    factors,
     library_size,
     monomials,
-    term_name,
 )
 from model_zoo.polynomial.optimizers import counts_rows, make_optimizer, read_optimizer, run
 from model_zoo.scaling import root_mean_square
@@ -33,7 +29,7 @@ from sysid_evo.models import DynamicsModel
 from sysid_evo.models.parameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.system import System
-from sysid_evo.types import Array, BoolArray, IntArray
+from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.folds import FOLDS
 from sysid_evo.validation.held_out import HeldOutError, best_candidate, count_fits, lag_candidates
 
@@ -56,8 +52,7 @@ class SparsePolynomial(PolynomialModel):
 
     ``library`` and ``optimizer`` are written as in pysindy, with arguments (see `libraries`, `optimizers`):
     "polynomial(degree=2) + fourier(n_frequencies=2)", "SR3(reg_weight_lam=0.1)". The optimiser works on quantities
-    divided by their RMS. ``constraints`` are known properties of coefficients: "damping of yaw_rate <= 0", "steer in
-    forward_speed = 0".
+    divided by their RMS.
     """
 
     knowledge = "dark grey"
@@ -74,7 +69,6 @@ class SparsePolynomial(PolynomialModel):
     functions: list[str] | None = None
     library: str | None = None
     optimizer: str | None = None
-    constraints: list[str] | None = None
     state_lags: int | None = None
     control_lags: int | None = None
     lag_search: Literal["all", "few"] = "all"
@@ -95,13 +89,10 @@ class SparsePolynomial(PolynomialModel):
                 raise InvalidArgument(f"threshold: give it in the optimizer, STLSQ(threshold={self.threshold})")
 
     def check_system(self, system: System) -> None:
-        (fewest, few), (most, many) = np.sort(self._lag_candidates(), axis=0)[[0, -1]].tolist()
-        self.features_of(system, (fewest, few))
+        state_lags, control_lags = np.min(self._lag_candidates(), axis=0).tolist()
+        self.features_of(system, (state_lags, control_lags))
         if self.optimizer is not None:
             make_optimizer(self.optimizer)
-        if self.constraints:
-            exponents = self.terms_of(system, (most, many), self.degree or max(DEGREES))
-            bounds(self.constraints, exponents, self.features_of(system, (most, many)).names, system.state_names)
 
     def features_of(self, system: System, lags: tuple[int, int]) -> Features:
         requested = tuple(self.functions or ())
@@ -151,16 +142,9 @@ class SparsePolynomial(PolynomialModel):
 
     def solved(self, library: Library, threshold: float, seed: int = SEED) -> Array:
         """Return the coefficients (T, nx) of a library."""
-        if self.optimizer is None and not self.constraints:
+        if self.optimizer is None:
             return library.coefficients(threshold, self.ridge)
-        optimizer = self.optimizer or f"STLSQ(threshold={threshold!r}, alpha={self.ridge!r})"
-        if not self.constraints:
-            return library.found_by(optimizer, seed)
-        names = self.features_of(self.system, self.lags).names
-        low, high = bounds(
-            self.constraints, library.exponents, names, self.system.state_names, as_far_as_there=self.degree is None
-        )
-        return library.found_within(optimizer, low, high, self.ridge, seed)
+        return library.found_by(self.optimizer, seed)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         settings = self._settings(dataset)
@@ -290,118 +274,3 @@ class Library:
     def found_by(self, optimizer: str, seed: int) -> Array:
         """Return the coefficients (T, nx) of raw quantities found by an optimiser of pysindy."""
         return run(make_optimizer(optimizer), self.terms, self.targets, seed) * self.unit
-
-    def found_within(self, optimizer: str, low: Array, high: Array, ridge: float, seed: int) -> Array:
-        """Return coefficients (T, nx) between ``low`` and ``high`` of the terms selected by an optimiser.
-
-        The constraints are passed to optimisers that support them; the selected terms are refitted within the bounds.
-        """
-        low, high = low / self.unit, high / self.unit
-        found = np.zeros_like(low)
-        for state in range(self.targets.shape[1]):
-            least, most, target = low[:, state], high[:, state], self.targets[:, state : state + 1]
-            free = ~(least == most)
-            used = np.zeros(len(free), dtype=bool)
-            if free.any():
-                rest = target - self.terms @ np.where(free, 0.0, least)[:, None]
-                search = make_optimizer(optimizer, **_as_matrices(optimizer, least[free], most[free]))
-                used[free] = run(search, self.terms[:, free], rest, seed)[:, 0] != 0
-            found[:, state] = bounded_fit(self.terms, target[:, 0], least, most, used, ridge)
-        return found * self.unit
-
-
-def _as_matrices(optimizer: str, low: Array, high: Array) -> dict[str, object]:
-    """Return the constraints of one equation in the form of ConstrainedSR3; empty for other optimisers."""
-    spec = read_optimizer(optimizer)
-    below, above = np.isfinite(high), np.isfinite(low)
-    if spec.name != "ConstrainedSR3" or not (below.any() or above.any()):
-        return {}
-    usual = {"regularizer": "l1", "max_iter": 10_000}  # bounds need a convex penalty and more iterations
-    each = np.eye(len(low))
-    return {
-        "constraint_lhs": np.concatenate([each[below], -each[above]]),
-        "constraint_rhs": np.concatenate([high[below], -low[above]]),
-        "inequality_constraints": True,
-        **{name: value for name, value in usual.items() if name not in spec.parameters},
-    }
-
-
-SENTENCE = re.compile(r"\s*(?P<what>.+?)\s*(?P<sign><=|>=|==|=)\s*(?P<number>[-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*")
-WHAT = "'TERM in STATE <= 0', 'damping of STATE <= 0' or 'terms with INPUT in STATE = 0', also with >= and ="
-
-
-def bounds(
-    sentences: Sequence[str],
-    exponents: IntArray,
-    names: Sequence[str],
-    states: Sequence[str],
-    *,
-    as_far_as_there: bool = False,
-) -> tuple[Array, Array]:
-    """Return the lowest and highest value (T, nx) of every coefficient. Raises `InvalidArgument`.
-
-    ``exponents`` (T, n) are those of the features ``names``. The damping of a state is the coefficient of the state in
-    its own equation. With ``as_far_as_there`` a constraint on a missing term is ignored.
-    """
-    low, high = np.full((len(exponents), len(states)), -np.inf), np.full((len(exponents), len(states)), np.inf)
-    for sentence in sentences:
-        found = SENTENCE.fullmatch(sentence)
-        if found is None:
-            raise InvalidArgument(f"constraints: expected {WHAT}; got {sentence!r}")
-        chosen, state = _meant(found["what"], sentence, exponents, names, states)
-        if not chosen.any() and not as_far_as_there:
-            some = ", ".join(term_name(row, names) for row in exponents[:8])
-            raise InvalidArgument(f"constraints: expected a term out of {some}, ...; got {sentence!r}")
-        number = float(found["number"])
-        if found["sign"] != "<=":
-            low[chosen, state] = np.maximum(low[chosen, state], number)
-        if found["sign"] != ">=":
-            high[chosen, state] = np.minimum(high[chosen, state], number)
-    if (low > high).any():
-        row, state = np.argwhere(low > high)[0]
-        raise InvalidArgument(
-            f"constraints: contradiction for {term_name(exponents[row], names)} in {states[state]}: "
-            f"at least {low[row, state]:g} and at most {high[row, state]:g}"
-        )
-    return low, high
-
-
-def _meant(
-    what: str, sentence: str, exponents: IntArray, names: Sequence[str], states: Sequence[str]
-) -> tuple[BoolArray, int]:
-    """Return the terms (T,) of a constraint, and its state."""
-    damping = re.fullmatch(r"damping of (.+)", what)
-    term, _, state = (damping[1], "", damping[1]) if damping else what.rpartition(" in ")
-    if state.strip() not in states or not term:
-        raise InvalidArgument(f"constraints: expected {WHAT} with STATE out of {', '.join(states)}; got {sentence!r}")
-    every = re.fullmatch(r"terms with (.+)", term.strip())
-    if every:
-        chosen = np.any(exponents[:, [every[1].strip() == name for name in names]] > 0, axis=1)
-    else:
-        wanted = re.sub(r"[\s*]", "", term)
-        chosen = np.array([wanted in _spellings(row, names) for row in exponents])
-    return np.asarray(chosen, dtype=np.bool_), list(states).index(state.strip())
-
-
-def _spellings(powers: IntArray, names: Sequence[str]) -> set[str]:
-    """Return all spellings of a term without blanks: its factors in any order."""
-    parts = factors(powers, names)
-    return {re.sub(r"[\s*]", "", "".join(order)) for order in permutations(parts)} if parts else {"1"}
-
-
-def bounded_fit(terms: Array, target: Array, low: Array, high: Array, used: BoolArray, ridge: float) -> Array:
-    """Return the least-squares coefficients (T,) of the terms ``used`` (T,) within bounds (T,), zero for the others.
-
-    A term whose bounds exclude zero is always used.
-    """
-    used = (used | (low > 0) | (high < 0)) & ~((low == 0) & (high == 0))
-    found = np.zeros(len(used))
-    fixed = used & (low == high)
-    found[fixed] = low[fixed]
-    free = used & ~fixed
-    if free.any():
-        rest = target - terms @ found
-        matrix = np.concatenate([terms[:, free], np.sqrt(ridge) * np.eye(int(free.sum()))])
-        solution = lsq_linear(matrix, np.concatenate([rest, np.zeros(int(free.sum()))]), (low[free], high[free]))
-        found[free] = np.clip(solution.x, low[free], high[free])
-    return found

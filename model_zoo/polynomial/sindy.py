@@ -26,7 +26,7 @@ class Sindy(SparsePolynomial):
     mean of its two ends and the control held (second order in dt). Sequentially thresholded least squares drops
     coefficients below ``threshold`` (of quantities divided by their RMS) with the L2 penalty ``ridge``.
     Settings left at None are chosen by the simulation error over one second on held-out blocks of time: the fewest
-    terms within 5 % of the best. docs/models.md describes ``functions``, ``library``, ``optimizer``, ``constraints``.
+    terms within 5 % of the best. docs/models.md describes ``functions``, ``library`` and ``optimizer``.
 
     A step is one fourth-order Runge-Kutta step with held controls; inputs are clipped to the training range. Outside
     this range the equation is bounded (`continued`), so that a polynomial which grows there cannot diverge. Integrals

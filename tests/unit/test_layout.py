@@ -16,7 +16,7 @@ from tests.layout import (
 )
 
 HEAVY = {
-    "cobs", "control", "cvxpy", "distributed", "filelock", "gymnasium", "joblib", "lightgbm",
+    "cobs", "control", "distributed", "filelock", "gymnasium", "joblib", "lightgbm",
     "matplotlib", "motioncapture", "mujoco", "natnet", "packaging", "pandas", "psutil",
     "pyarrow", "pysindy", "rich", "scipy", "serial", "skops", "sklearn", "starlette", "torch", "torchdiffeq",
     "uvicorn", "websockets", "xgboost",

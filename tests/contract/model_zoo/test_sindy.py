@@ -245,11 +245,7 @@ def test_of_a_periodic_state_fourier_takes_the_harmonics():
         pytest.param(
             {"library": "fourier(n_frequencies=2)", "optimizer": "SR3(reg_weight_lam=0.1)"}, marks=pytest.mark.nightly
         ),
-        {
-            "degree": 2,
-            "optimizer": "EnsembleOptimizer(opt=STLSQ(threshold=0.1), bagging=true, n_models=3)",
-            "constraints": ["damping of yaw_rate <= 0"],
-        },
+        {"degree": 2, "optimizer": "EnsembleOptimizer(opt=STLSQ(threshold=0.1), bagging=true, n_models=3)"},
     ],
 )
 def test_libraries_and_optimisers_keep_the_contract(options, car_data):
@@ -320,27 +316,11 @@ def test_what_cannot_be_named_is_refused_where_it_is_given(options, said):
         ({"optimizer": "SR3(lambda_=1)"}, "has no parameter 'lambda_'"),
         ({"optimizer": "SR3(relax_coeff_nu=-1)"}, "relax_coeff_nu must be positive"),
         ({"library": "fourier(inputs=[height])"}, "expected inputs out of drive"),
-        ({"constraints": ["damping of height <= 0"]}, "STATE out of speed, turn"),
-        ({"constraints": ["height in speed <= 0"]}, "expected a term out of"),
-        ({"constraints": ["speed is small"]}, "expected 'TERM in STATE <= 0'"),
-        ({"constraints": ["drive in speed <= 0", "drive in speed >= 1"]}, "contradiction for drive in speed"),
     ],
 )
 def test_what_does_not_fit_the_system_is_refused_before_the_fit(options, said):
     with pytest.raises(InvalidArgument, match=said):
         make_model("sindy", **options).check_system(DRAG)
-
-
-@pytest.mark.parametrize("optimizer", [None, "ConstrainedSR3(reg_weight_lam=0.01)"])
-def test_constraints_hold_and_the_other_terms_make_up_for_them(optimizer):
-    if optimizer:
-        pytest.importorskip("cvxpy")
-    said = ["damping of turn <= -2.5", "terms with drive in turn = 0", "drive in speed = 5"]
-    model = make_model("sindy", library="identity", optimizer=optimizer, constraints=said, **NO_LAGS).fit(dragged())
-    found = by_term(model)
-    assert found["turn"][1] <= -2.5
-    assert found["drive"] == [5.0, 0.0]
-    assert found["speed"][1] > 0
 
 
 def test_the_weak_form_sees_through_noise():
