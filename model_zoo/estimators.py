@@ -14,6 +14,7 @@ import re
 import warnings
 import zipfile
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
@@ -24,6 +25,7 @@ import numpy as np
 from sysid_evo.errors import ArtefactError, InvalidArgument, UnknownName, UnknownParameter, did_you_mean
 from sysid_evo.extras import missing_extra
 from sysid_evo.models import bases_of
+from sysid_evo.registry.plugins import PREFIX, named_in_plugin
 from sysid_evo.types import Array
 
 MODULES = (
@@ -61,11 +63,14 @@ INSTEAD = {
     "sklearn.model_selection._split.KFold": "GridSearchCV(make_pipeline(...), ...), the search around the pipeline,",
 }
 """Settings that avoid a type that is not trusted."""
-OWN = "A regressor or function of your own becomes a family: sysid-evo plugin new NAME"
+OWN = "A regressor of your own is a class in a plugin file: --plugin FILE, in Python load_plugin"
 
 
 def estimator_class(name: str) -> Any:
-    """Return the regressor called ``name``. Raises `UnknownName`, or `MissingExtra` without its package."""
+    """Return the regressor called ``name``, of these packages or of a loaded plugin file.
+
+    Raises `UnknownName`, or `MissingExtra` without its package.
+    """
     if name in BOOSTERS:
         if find_spec(BOOSTERS[name]) is None:
             raise missing_extra(name, BOOSTERS[name])
@@ -74,6 +79,8 @@ def estimator_class(name: str) -> Any:
         found = _regressors(module).get(name)
         if found is not None:
             return found
+    with suppress(InvalidArgument):
+        return named_in_plugin(name, type)
     known = sorted({*BOOSTERS, *(regressor for module in MODULES for regressor in _regressors(module))})
     raise UnknownName(
         f"no regressor of scikit-learn, LightGBM or XGBoost is called {name!r}.{did_you_mean(name, known)} "
@@ -92,6 +99,8 @@ def _regressors(module: str) -> dict[str, Any]:
 def make_estimator(name: str, settings: Mapping[str, Any]) -> Any:
     """Return the unfitted regressor ``name`` with ``settings``. Raises `UnknownParameter` or `InvalidArgument`."""
     found = estimator_class(name)
+    if not (hasattr(found, "predict") and hasattr(found, "get_params")):
+        raise InvalidArgument(f"{name}: expected a class of sklearn.base.RegressorMixin and sklearn.base.BaseEstimator")
     parameters = inspect.signature(found).parameters
     needed = [key for key, one in parameters.items() if one.default is one.empty and one.kind is not one.VAR_KEYWORD]
     if needed:
@@ -261,15 +270,31 @@ def _by_skops(data: bytes) -> Any:
             raise ArtefactError("the stored regressor: expected files without compression")
     refused = _refused(data)
     if refused:
-        raise ArtefactError(f"the stored regressor names {', '.join(refused)}, not among the trusted types: not loaded")
-    found = import_module(SKOPS).loads(data, trusted=sorted(TRUSTED))
+        hint = ". A plugin file is given with --plugin FILE" if any(one.startswith(PREFIX) for one in refused) else ""
+        raise ArtefactError(
+            f"the stored regressor names {', '.join(refused)}, not among the trusted types: not loaded{hint}"
+        )
+    # none of these types is refused
+    found = import_module(SKOPS).loads(data, trusted=import_module(SKOPS).get_untrusted_types(data=data))
     check_trees(found)
     return found
 
 
 def _refused(data: bytes) -> list[str]:
-    """Return the types in ``data`` that are not trusted; none of them is imported."""
-    return sorted(set(import_module(SKOPS).get_untrusted_types(data=data)) - TRUSTED)
+    """Return the types in ``data`` that are not trusted; none of them is imported.
+
+    Regressors of loaded plugin files are trusted.
+    """
+    found = sorted(set(import_module(SKOPS).get_untrusted_types(data=data)) - TRUSTED)
+    return [one for one in found if not (one.startswith(PREFIX) and _is_loaded(one.removeprefix(PREFIX)))]
+
+
+def _is_loaded(name: str) -> bool:
+    """Whether ``FILE.NAME`` is a regressor of a loaded plugin file."""
+    try:
+        return hasattr(named_in_plugin(name, type), "get_params")
+    except InvalidArgument:
+        return False
 
 
 def _boosters(package: str, texts: list[str]) -> Boosters:

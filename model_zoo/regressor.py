@@ -38,10 +38,10 @@ FAR = 1e30
 class Regressor(StochasticModel):
     """Any regressor of scikit-learn's interface, such as a random forest, fitted to the steps of the recordings.
 
-    ``estimator`` is the class name of a regressor of scikit-learn, LightGBM or XGBoost, and all further parameters are
-    its own: ``regressor(estimator=RandomForestRegressor, n_estimators=50)``. In Python it may also be an object, such
-    as a pipeline or a `GridSearchCV`, of which the best estimator is kept. A regressor of a single output is fitted for
-    each state.
+    ``estimator`` is the class name of a regressor of scikit-learn, LightGBM, XGBoost or a plugin file, and all further
+    parameters are its own: ``regressor(estimator=RandomForestRegressor, n_estimators=50)``. In Python it may also be an
+    object, such as a pipeline or a `GridSearchCV`, of which the best estimator is kept. A regressor of a single output
+    is fitted for each state.
 
     Inputs are the lagged states and controls, an angle as sine and cosine. Inputs and outputs are divided by their
     deviations, except the inputs of trees, which are rounded to single precision. ``target`` is the change of the state
@@ -58,6 +58,7 @@ class Regressor(StochasticModel):
     model_class = "regressor"
     periodic = True
     requires = ("skops",)
+    plugin_parameters = ("estimator",)
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"state_lags": 0, "control_lags": 3}}
     timing_parameters: ClassVar[dict[str, Any]] = {}
 

@@ -8,6 +8,7 @@ import math
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import Distribution, EntryPoint, entry_points
 from pathlib import Path
@@ -180,11 +181,11 @@ class Registry(Generic[T]):
     def _named_in_plugins(self, name: str, parameters: Mapping[str | None, Any]) -> dict[str, Any]:
         """Return the digests of the plugins whose definitions parameters name, see ``plugin_parameters`` of a class."""
         texts = {key: parameters[key] for key in getattr(self.get(name), "plugin_parameters", ())}
-        found = {
-            key: source_digest(named_in_plugin(text, object))
-            for key, text in texts.items()
-            if isinstance(text, str) and not is_object_text(text)
-        }
+        found = {}
+        for key, text in texts.items():
+            if isinstance(text, str) and not is_object_text(text):
+                with suppress(InvalidArgument):  # the name of something else, or refused by the class
+                    found[key] = source_digest(named_in_plugin(text, object))
         return {"plugins": found} if found else {}
 
     def missing_package(self, name: str) -> MissingExtra | None:
