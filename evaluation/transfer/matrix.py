@@ -130,12 +130,6 @@ class TransferMatrix(Displayed):
         found = [self.cell(row, column).mean for row in self.rows for column in self.columns]
         return np.array(found, dtype=np.float64).reshape(len(self.rows), len(self.columns))
 
-    def best(self, column: str) -> str | None:
-        """Return the evolved controller with the highest mean fitness on ``column``."""
-        evolved = [champion.name for champion in self.champions if champion.against]
-        known = [row for row in evolved if not self.cell(row, column).failed]
-        return max(known, key=lambda row: self.cell(row, column).mean, default=None)
-
     def failures(self) -> tuple[TransferResult, ...]:
         """Return the cells that were tried and failed, row by row."""
         cells = (self.cell(row, column) for row in self.rows for column in self.columns)

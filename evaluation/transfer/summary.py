@@ -1,4 +1,4 @@
-"""Summary of the matrix for each controller: claimed, achieved, gaps, worst case, regret; the recommended one."""
+"""Summary of the matrix for each controller: claimed, achieved, gaps, worst case; the recommended one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from evaluation.transfer.forecast import Forecast, best_choice, forecasts
 from evaluation.transfer.matrix import TransferMatrix
 from sysid_evo.evolution import Champion
-from sysid_evo.evolution.aggregates import Aggregate, make_aggregate, mean, median
+from sysid_evo.evolution.aggregates import Aggregate, make_aggregate, mean
 from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.acceptance import surely_more
 from sysid_evo.validation.estimates import Draws, Estimate, draw_blocks, estimate_of
@@ -27,7 +27,6 @@ class TransferSummary:
 
     controllers: tuple[ControllerSummary, ...]
     pick: str | None
-    best_on: Mapping[str, str | None]
     correlations: tuple[RankCorrelation, ...]
 
     def controller(self, name: str) -> ControllerSummary:
@@ -44,9 +43,7 @@ class ControllerSummary:
     minus others, ``reality_gap`` claimed minus achieved. ``kept`` is the share of the claim that is achieved on the
     robot, or else on other models, both measured from controls at rest if those were run, since fitness may be
     negative. ``worst`` is the mean fitness on ``worst_on``, the system where it is lowest among all that it was not
-    evolved against. ``regret`` is the advantage of the best other controller on the robot, at least 0. Without a robot
-    it is the largest advantage on one of the other models, among controllers that were not evolved there. A controller
-    evolved on the robot itself has no regret and causes none.
+    evolved against.
 
     ``seed_fitness`` is that of the champion of each evolution run; ``polished`` as in `Champion`. ``rest_fitness`` is
     the fitness of controls at rest on the robot, if those were run.
@@ -64,7 +61,6 @@ class ControllerSummary:
     kept: Estimate | None
     worst: Estimate | None
     worst_on: str
-    regret: Estimate | None
     other_family_models: tuple[str, ...]
     evolved_on_robot: bool
     seed_fitness: tuple[float, ...] = ()
@@ -138,7 +134,6 @@ def summarise(matrix: TransferMatrix) -> TransferSummary:
     return TransferSummary(
         controllers=controllers,
         pick=None,
-        best_on={column: matrix.best(column) for column in matrix.columns},
         correlations=tuple(correlations) if matrix.robot is not None else (),
     )
 
@@ -221,26 +216,24 @@ class MatrixEstimates:
 
     def summary(self, champion: Champion) -> ControllerSummary:
         """Return the summary of one controller."""
-        robot, scoring_models = self.matrix.robot, other_family_models(champion, self.matrix)
+        robot = self.matrix.robot
         claimed, others = self.on(champion, champion.against), self.others(champion)
         achieved = None if robot is None else self.on(champion, [robot])
         worst, worst_on = self.worst(champion)
-        regret = self.regret(champion)
         return ControllerSummary(
             name=champion.name,
             against=champion.against,
             aggregate=champion.aggregate,
             claimed=estimate_of(claimed),
             other_models=estimate_of(others),
-            other_families=estimate_of(Draws.joined(self.on_each(champion, scoring_models), np.median)),
+            other_families=estimate_of(self.other_families(champion)),
             achieved=estimate_of(achieved),
             exploitation_gap=_gap(claimed, others),
             reality_gap=_gap(claimed, achieved),
             kept=self._kept(claimed, self.elsewhere(champion)),
             worst=estimate_of(worst),
             worst_on=worst_on,
-            regret=None if regret is None else regret.estimate.clipped(low=0.0),
-            other_family_models=scoring_models,
+            other_family_models=other_family_models(champion, self.matrix),
             evolved_on_robot=robot is not None and robot in champion.against,
             seed_fitness=tuple(champion.seed_fitness),
             polished=champion.polished,
@@ -260,53 +253,16 @@ class MatrixEstimates:
             claimed, achieved = claimed - floor, achieved - floor
         return (achieved / claimed).estimate if claimed.value > 0.0 else None
 
-    @cached_property
-    def singles(self) -> Mapping[tuple[str, str], Draws]:
-        """The mean fitness of every controller on every column that it was run on."""
-        return {
-            (one.name, column): figure
-            for column in self.matrix.columns
-            for one in self.matrix.champions
-            if (figure := self.on(one, [column], mean)) is not None
-        }
-
-    def consensus(self, champion: Champion) -> Draws | None:
+    def other_families(self, champion: Champion) -> Draws | None:
         """Return the median over the models of families that it was not evolved in."""
-        return self.on(champion, other_family_models(champion, self.matrix), median)
+        return Draws.joined(self.on_each(champion, other_family_models(champion, self.matrix)), np.median)
 
     def worst(self, champion: Champion) -> tuple[Draws | None, str]:
-        """Return the fitness on the system where it is lowest, and that system."""
-        columns = self._run(champion, self.matrix.columns)
-        found = {column: self.singles[key] for column in columns if (key := (champion.name, column)) in self.singles}
+        """Return the fitness on the system where it is lowest, and that system, of those it was not evolved against."""
+        others = [column for column in self.matrix.columns if column not in champion.against]
+        found = {column: one for column in others if (one := self.on(champion, [column], mean)) is not None}
         lowest = min(found, key=lambda column: found[column].value, default="")
         return found.get(lowest), lowest
-
-    def regret(self, champion: Champion) -> Draws | None:
-        """Return the advantage of the best other controller: on the robot, else on the system where it is largest.
-
-        If several are equally good, the best is so by chance, too, and the advantage is slightly overestimated.
-        """
-        robot = self.matrix.robot
-        if robot is not None and robot in champion.against:
-            return None
-        columns = [robot] if robot is not None else self._run(champion, self.matrix.models)
-        found = []
-        for column in columns:
-            own = self.singles.get((champion.name, column))
-            rivals = [one.name for one in self.matrix.champions if column not in one.against]
-            others = [
-                self.singles[name, column]
-                for name in rivals
-                if name != champion.name and (name, column) in self.singles
-            ]
-            if own is not None and others:
-                found.append(max(others, key=lambda other: other.value) - own)
-        return max(found, key=lambda figure: figure.value, default=None)
-
-    def _run(self, champion: Champion, columns: Sequence[str]) -> list[str]:
-        """Return those of ``columns`` that it was run on and not evolved against."""
-        others = [column for column in columns if column not in champion.against]
-        return [column for column in others if not self.matrix.cell(champion.name, column).failed]
 
 
 def other_family_models(champion: Champion, matrix: TransferMatrix) -> tuple[str, ...]:

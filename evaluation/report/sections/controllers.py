@@ -274,7 +274,7 @@ def _share(kept: Estimate | None) -> str:
 
 
 def further_figures_table(matrix: TransferMatrix, summary: TransferSummary) -> TableElement:
-    """Return the gaps, the lowest fitness and the difference to the best of each controller, with intervals."""
+    """Return the gaps, and the lowest fitness of each controller, with intervals."""
     robot = matrix.robot is not None
     rows = [
         (
@@ -286,7 +286,6 @@ def further_figures_table(matrix: TransferMatrix, summary: TransferSummary) -> T
             within(one.exploitation_gap),
             *((within(one.reality_gap),) if robot else ()),
             lines(within(one.worst), folded(one.worst_on, 12)),
-            within(one.regret),
         )
         for one in summary.controllers
     ]
@@ -307,15 +306,12 @@ def further_figures_table(matrix: TransferMatrix, summary: TransferSummary) -> T
             "claimed -\nother models",
             *(("claimed -\nrobot",) if robot else ()),
             "lowest on",
-            "difference\nto the best",
         ),
         rows=tuple(rows),
         note=(
             f"{each}Other models: mean of those that it was not evolved in; other families: median of the models of "
-            "families that it was not evolved in. Lowest on: of the systems that it was not evolved in. Difference to "
-            "the best: what the best other controller achieves more "
-            + ("on the robot. " if robot else "on the model where that is most. ")
-            + "Intervals are over fresh trials of this one controller, not over evolution runs."
+            "families that it was not evolved in. Lowest on: of the systems that it was not evolved in. "
+            "Intervals are over fresh trials of this one controller, not over evolution runs."
         ),
         details=True,
     )
@@ -540,7 +536,6 @@ class ControllerPart(Part):
     kept: EstimatePart | None
     worst: EstimatePart | None
     worst_on: str
-    regret: EstimatePart | None
     other_family_models: tuple[str, ...]
     evolved_on_robot: bool
     seed_fitness: tuple[Number, ...]
@@ -568,7 +563,6 @@ class ControllersPart(Part):
 
     controllers: tuple[ControllerPart, ...]
     pick: str | None
-    best_on: dict[str, str | None]
     correlations: tuple[RankCorrelation, ...]
     forecast_rule: ForecastRule
     model_forecasts: tuple[ModelForecastPart, ...]
@@ -590,7 +584,6 @@ class ControllersPart(Part):
         return cls(
             controllers=tuple(controllers),
             pick=summary.pick,
-            best_on=dict(summary.best_on),
             correlations=summary.correlations,
             forecast_rule=FORECAST_RULE,
             model_forecasts=tuple(map(ModelForecastPart.model_validate, models)),

@@ -8,7 +8,9 @@ from evaluation.formatting import by_error, folded, lines, number, percent, plus
 from evaluation.report.document import Interval, Number, Numbers, Part
 from evaluation.report.elements import Shading, TableElement
 from evaluation.transfer.matrix import BY_HAND, NOT_RUN, TransferMatrix, TransferResult
-from evaluation.transfer.summary import MatrixEstimates, other_family_models
+from evaluation.transfer.summary import MatrixEstimates
+from sysid_evo.evolution import Champion
+from sysid_evo.evolution.aggregates import mean
 from sysid_evo.validation.estimates import CONFIDENCE
 
 CONSENSUS = "other\nfamilies"
@@ -25,7 +27,7 @@ def transfer_sheet(matrix: TransferMatrix) -> TableElement:
         CONSENSUS if c is None else lines(folded(c), "(robot)" if c == matrix.robot else "") for c in places
     )
     figures = MatrixEstimates(matrix)
-    drawn = {champion.name: figures.consensus(champion) for champion in matrix.champions}
+    drawn = {champion.name: figures.other_families(champion) for champion in matrix.champions}
     medians = {name: None if found is None else found.estimate for name, found in drawn.items()}
     median = {name: np.nan if found is None else found.value for name, found in medians.items()}
     rows = [
@@ -188,20 +190,11 @@ class CellPart(Part):
     missing: tuple[str, ...]
 
     @classmethod
-    def of(cls, cell: TransferResult, figures: MatrixEstimates) -> CellPart:
+    def of(cls, champion: Champion, column: str, figures: MatrixEstimates) -> CellPart:
         """Return a cell of the matrix with the interval of its mean."""
-        figure = figures.singles.get((cell.champion, cell.column))
+        cell, figure = figures.matrix.cell(champion.name, column), figures.on(champion, [column], mean)
         interval = None if figure is None else figure.estimate.interval
-        return cls.made_of(cell, controller=cell.champion, interval=interval, reason=cell.reason or None)
-
-
-class OtherFamiliesPart(Part):
-    """The median over the models of families that a controller was not evolved in."""
-
-    controller: str
-    models: tuple[str, ...]
-    median: Number
-    interval: Interval | None
+        return cls.made_of(cell, controller=champion.name, interval=interval, reason=cell.reason or None)
 
 
 class TransferPart(Part):
@@ -219,24 +212,10 @@ class TransferPart(Part):
     families: dict[str, str]
     interval: float
     cells: tuple[CellPart, ...]
-    other_families: tuple[OtherFamiliesPart, ...]
 
     @classmethod
     def of(cls, matrix: TransferMatrix) -> TransferPart:
         """Return a matrix with intervals."""
         figures = MatrixEstimates(matrix)
-        medians = [(champion, figures.consensus(champion)) for champion in matrix.champions]
-        return cls.made_of(
-            matrix,
-            interval=CONFIDENCE,
-            cells=[CellPart.of(matrix.cell(row, column), figures) for row in matrix.rows for column in matrix.columns],
-            other_families=[
-                OtherFamiliesPart(
-                    controller=champion.name,
-                    models=other_family_models(champion, matrix),
-                    median=None if median is None else median.value,
-                    interval=None if median is None else median.estimate.interval,
-                )
-                for champion, median in medians
-            ],
-        )
+        cells = [CellPart.of(one, column, figures) for one in matrix.champions for column in matrix.columns]
+        return cls.made_of(matrix, interval=CONFIDENCE, cells=cells)
