@@ -105,19 +105,19 @@ def measured(fits: Fits, presets: Sequence[str], seed: int, memory: Memory) -> I
         n = [pooled([found], horizon).value for horizon in HORIZONS]
         return Row(fits.name, seed, name, alone, n, seconds, "" if alone else model.fit_note)
 
-    hopeless: set[str] = set()
+    far: dict[str, bool] = {}
     for preset in presets:
         model: Any = make_model(with_preset(Spec("auto"), preset))
         seconds = memory.fit(model, fits, seed)
         yield row(preset, model, seconds, alone=False)
         error = dict(zip(model.candidates_, model.errors_.mean(axis=1), strict=True))
         if preset == presets[0]:
-            hopeless = {name for name, found in error.items() if found > HOPELESS * min(error.values())}
+            far = {name: found > HOPELESS * min(error.values()) for name, found in error.items()}
     candidates, _ = candidates_for(fits.training.system)
     pairs = make_folds(fits.training, 3)
     seeds = np.random.default_rng(seed).integers(2**32, size=(len(candidates), len(pairs) + 1))
     for candidate, own in zip(candidates, seeds[:, -1], strict=True):
-        if {candidate.name, candidate.successor_of} & hopeless:
+        if far.get(candidate.name, far.get(candidate.successor_of, False)):
             continue
         task = FitTask((0, 0), candidate.spec.name, candidate.spec.parameters, fits.training, int(own), 0.0)
         outcome, seconds = memory.outcome(task)
