@@ -15,6 +15,8 @@ from sysid_evo.types import Array
 
 CONSTANT = 1e-12
 """A standard deviation below this share of the channel's size is rounding error."""
+STILL = 1e-6
+"""Change in one step of a state that never changes, such as a goal, as a share of its spread: networks leave it so."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +47,14 @@ class ChannelScaling:
             signs = np.repeat(mirror.states, [2 if i in system.periods else 1 for i in range(system.nx)])
             seen_centre = np.where(signs < 0, 0.0, seen_centre)
             control_centre = np.where(mirror.controls < 0, 0.0, control_centre)
+        spread, moved = positive(system.spread(states)) if system.periods else deviation(states), np.any(change, axis=0)
         return cls(
-            positive(system.spread(states)) if system.periods else deviation(states),
+            spread,
             seen_centre,
             deviation(seen),
             control_centre,
             deviation(controls),
-            root_mean_square(change),
+            np.where(moved, root_mean_square(change), STILL * spread),
         )
 
     def of_inputs(self, layout: CarryLayout) -> tuple[Array, Array]:

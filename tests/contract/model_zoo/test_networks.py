@@ -29,6 +29,7 @@ from sysid_evo.models import load_model, save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.models.dynamics import rk4
 from sysid_evo.progress import Counter
+from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
 from sysid_evo.types import Array
 from sysid_evo.validation.folds import time_fold
@@ -203,6 +204,19 @@ def test_what_was_trained_is_what_steps(family, car_data, monkeypatch):
     found = trained.run(Batches([shots], 2).of([np.arange(len(shots))], 5))
     expected = model.simulate(windows.past_states, windows.past_controls, windows.controls)
     np.testing.assert_allclose(np.moveaxis(found[:, 0], 0, 1), expected, atol=2e-4)
+
+
+def test_a_state_that_never_changes_stays_as_it_is():
+    states, controls = (Channel("position", "m"), Channel("goal", "m")), (Channel("push", low=-1.0, high=1.0),)
+    system = System(states, controls, dt=0.1)
+    rng = np.random.default_rng(0)
+    pushes = [rng.uniform(-1.0, 1.0, (30, 1)) for _ in range(4)]
+    states = [np.column_stack([0.1 * np.cumsum([0.0, *push[:, 0]]), np.full(31, rng.normal())]) for push in pushes]
+    data = Dataset.from_arrays(system, states, pushes)
+    model = MlpEnsemble(**HARDLY, members=1, state_lags=0, control_lags=0).fit(data, rng=rng)
+    simulated = model.simulate(states[0][:1], pushes[0][:0], pushes[0])
+    np.testing.assert_allclose(simulated[:, 1], states[0][0, 1], atol=1e-3)
+    assert np.ptp(simulated[:, 0]) > 1e-3
 
 
 def test_the_lags_of_a_neural_ode_are_chosen_if_all_are_searched(car_data):
