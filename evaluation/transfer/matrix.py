@@ -332,9 +332,6 @@ class MeasuredResult:
         """Inverse of `to_json`."""
         value = json.loads(text)
         champion = Champion.from_dict(value["champion"], value["tensors"])
-        for trace in value["cell"]["traces"]:
-            if "trajectory" not in trace:  # older files hold it in the trace itself
-                trace["trajectory"] = {name: trace.pop(name) for name in ("name", "dt", "states", "controls", "pose")}
         cell = from_plain(TransferResult, value["cell"], place="cell")
         return cls(champion, cell, value["on_robot"], value["physical"])
 

@@ -286,11 +286,6 @@ class Journal:
         return tuple(event for event in self.events if isinstance(event, TimedCommand))
 
     @property
-    def statuses(self) -> tuple[RobotStatus, ...]:
-        """Status messages of the robot."""
-        return tuple(event for event in self.events if isinstance(event, RobotStatus))
-
-    @property
     def notes(self) -> tuple[str, ...]:
         """Problems, in sentences."""
         notes = [] if self.closed else [f"{self.name}: the journal has no end, so its recorder was killed"]

@@ -1,6 +1,5 @@
 """Cells measured once, on robots that are driven and by people, in the matrix of a run."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -95,21 +94,6 @@ def test_measured_cells_come_back_and_the_newest_of_a_place_counts(tmp_path):
     assert found["a"].champion.estimator_delay == 0.02
     assert (found["a"].on_robot, found["a"].physical) == (True, True)
     assert (found["anna"].cell.missing, found["anna"].on_robot) == (("interrupted",), False)
-
-
-def test_a_file_of_an_older_version_whose_traces_hold_the_course_themselves_is_read(tmp_path):
-    course = {"name": "trial_0", "dt": 0.05, "states": [[0.0], [0.5]], "controls": [[1.0]], "pose": None}
-    trace = {**course, "fitness": 5.0, "waypoints": [], "waypoint_radius": 0.0, "walls": [], "targets": []}
-    path = save_measured(tmp_path, driven(ROWS[0], "car", 5.0))
-    value = json.loads(path.read_text())
-    value["cell"]["traces"] = [trace]
-    path.write_text(json.dumps(value))
-    (found,), remarks = load_measured(tmp_path)
-    assert remarks == ()
-    assert found.cell.traces[0].trajectory.states.tolist() == [[0.0], [0.5]]
-    assert found.cell.traces[0].waypoints.shape == (0, 2)
-    save_measured(tmp_path, found)
-    assert load_measured(tmp_path)[0][0].digest == found.digest
 
 
 def test_cells_of_one_controller_on_two_robots_are_in_two_columns(tmp_path):

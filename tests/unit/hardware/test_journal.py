@@ -61,7 +61,7 @@ def test_all_events_are_read_in_the_order_they_were_recorded(path):
     assert np.array_equal(journal.frames[7].pose, measurement(7).pose)
     assert [timed.command.tick for timed in journal.commands] == [0, 1, 2, 3]
     assert np.array_equal(journal.commands[0].command.control, [1.0, -1.0])
-    status = journal.statuses[2]
+    status = [event for event in journal.events if isinstance(event, RobotStatus)][2]
     assert (status.state, dict(status.counters), status.robot_time) == ("driving", {"crc": 2, "late": 7}, 105.1)
     kinds = [type(event).__name__ for event in journal.events[:4]]
     assert kinds == ["Measurement", "TimedCommand", "RobotStatus", "Measurement"]
