@@ -140,5 +140,15 @@ def test_what_is_no_system_is_refused(given, message, whole):
         make_model("lti", model=given).fit(whole, rng=0)
 
 
+def test_an_operating_point_of_other_lengths_and_a_hidden_unstable_state_are_refused(whole, output):
+    with pytest.raises(InvalidArgument, match="operating_states: expected 2 numbers, got 1"):
+        as_model(WHOLE).set_params(operating_states=[1.0]).fit(whole, rng=0)
+    with pytest.raises(InvalidArgument, match="operating_controls: expected 1 numbers, got 2"):
+        as_model(WHOLE).set_params(operating_controls=[1.0, 2.0]).fit(whole, rng=0)
+    hidden = control.ss([[-1.0, 0.0], [0.0, 1.0]], [[1.0], [1.0]], [[1.0, 0.0]], 0)
+    with pytest.raises(InvalidArgument, match="there is no observer for this system"):
+        as_model(hidden).fit(output, rng=0)
+
+
 def test_the_matrices_are_in_the_spec_so_that_a_run_can_be_continued_without_the_object():
     assert as_spec(control.ss(-1.0, 2.0, 1.0, 0.0)).text == "lti(model=[[[-1.0]], [[2.0]], [[1.0]], [[0.0]], 0])"

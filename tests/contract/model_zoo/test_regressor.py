@@ -23,6 +23,7 @@ from sklearn.linear_model import LinearRegression, MultiTaskLasso, Ridge
 from sklearn.model_selection import GridSearchCV
 from sklearn.multioutput import MultiOutputRegressor, RegressorChain
 from sklearn.neighbors import KNeighborsRegressor, RadiusNeighborsRegressor
+from sklearn.neural_network import MLPRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer, StandardScaler
 from sklearn.utils import all_estimators
@@ -257,7 +258,7 @@ def test_trees_that_would_be_read_beyond_their_end_are_refused(forest, rng):
     inputs = rng.standard_normal((100, 3))
     fitted = forest.fit(inputs, inputs[:, 0])
     assert np.array_equal(read(*written(fitted)).predict(inputs), fitted.predict(inputs))
-    for name, value in (("left", 10**6), ("left", 0), ("feature", 3)):
+    for name, value in (("left", 10**6), ("left", 0), ("feature", 3), ("feature", -1)):
         fitted = forest.fit(inputs, inputs[:, 0])
         if hasattr(fitted, "_predictors"):
             fitted._predictors[0][0].nodes["left" if name == "left" else "feature_idx"][0] = value
@@ -266,6 +267,43 @@ def test_trees_that_would_be_read_beyond_their_end_are_refused(forest, rng):
             (tree.children_left if name == "left" else tree.feature)[0] = value
         with pytest.raises(ArtefactError, match="expected trees whose nodes refer to later nodes and to its inputs"):
             read(*written(fitted))
+
+
+def test_bytes_that_no_regressor_is_stored_as_are_refused(rng):
+    inputs = rng.standard_normal((60, 3))
+    with pytest.raises(ArtefactError, match="expected the format skops, lightgbm or xgboost, got 'pickle'"):
+        read("pickle", b"")
+    squeezed = io.BytesIO()
+    with zipfile.ZipFile(squeezed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("schema.json", "{}")
+    with pytest.raises(ArtefactError, match="expected files without compression"):
+        read("skops", squeezed.getvalue())
+    boosted = HistGradientBoostingRegressor(max_iter=1).fit(inputs, inputs[:, 0])
+    boosted._predictors[0][0].nodes["is_categorical"][0] = 1
+    with pytest.raises(ArtefactError, match="expected trees without categories"):
+        read(*written(boosted))
+    forest = RandomForestRegressor(n_estimators=2).fit(inputs, inputs[:, 0])
+    forest.estimators_[1] = RandomForestRegressor(n_estimators=1).fit(inputs[:, :2], inputs[:, 0]).estimators_[0]
+    with pytest.raises(ArtefactError, match="expected trees of 3 inputs"):
+        read(*written(forest))
+
+
+def test_a_fit_that_did_not_converge_is_reported(throttle_car_data):
+    for iterations, said in ((1, True), (200, False)):
+        network = MLPRegressor(hidden_layer_sizes=(2,), max_iter=iterations, tol=0.1, n_iter_no_change=2)
+        model = Regressor(estimator=network, **NO_LAGS).fit(throttle_car_data, rng=0)
+        assert ("the fit ended before it converged" in model.fit_note) is said
+
+
+def test_a_booster_that_stopped_early_predicts_as_it_did(throttle_car_data):
+    xgboost, run = pytest.importorskip("xgboost"), throttle_car_data.episodes[0]
+    inputs, outputs = np.concatenate([run.states[:-1], run.controls], axis=1), run.states[1:]
+    found = xgboost.XGBRegressor(n_estimators=30, early_stopping_rounds=1, learning_rate=1.0)
+    found.fit(inputs[::2], outputs[::2], eval_set=[(inputs[1::2], outputs[1::2])], verbose=False)
+    assert found.best_iteration < 28
+    expected = found.predict(inputs)
+    model = as_model(found).fit(throttle_car_data)
+    assert np.allclose(model.next_state(run.states[:-1], run.controls), expected, atol=1e-6)
 
 
 def test_a_bag_of_trees_with_some_of_the_inputs_each_is_read(rng):
@@ -294,6 +332,13 @@ def test_regressors_of_several_outputs_are_fitted_to_a_single_state(estimator):
     assert Regressor(estimator=estimator, **NO_LAGS).fit(data).score(data) > -1.0
 
 
+def test_a_booster_in_a_pipeline_is_refused_with_what_to_do():
+    lightgbm = pytest.importorskip("lightgbm")
+    inside = make_pipeline(StandardScaler(), lightgbm.LGBMRegressor(n_estimators=1, verbosity=-1))
+    with pytest.raises(InvalidArgument, match="Pass LGBMRegressor itself: inputs and outputs are scaled anyway"):
+        Regressor(estimator=inside, **NO_LAGS).fit(ONE_STATE.recording())
+
+
 def test_boosters_take_all_parameters_of_their_packages(throttle_car_data, tmp_path):
     xgboost, lightgbm = pytest.importorskip("xgboost"), pytest.importorskip("lightgbm")
     run = throttle_car_data.episodes[0]
@@ -315,6 +360,8 @@ def test_wrong_names_and_settings_are_refused_before_the_fit(monkeypatch):
         make_model("regressor(estimator=Ridge, alfa=1)")
     with pytest.raises(InvalidArgument, match=r"StackingRegressor needs estimators: pass the regressor itself"):
         make_model("regressor(estimator=StackingRegressor)")
+    with pytest.raises(InvalidArgument, match="fitted=True expects a fitted regressor as estimator, got a class name"):
+        Regressor(estimator="Ridge", fitted=True)
     with pytest.raises(InvalidArgument, match="alpha: set the parameters of an object before it is passed"):
         Regressor(estimator=Ridge(), alpha=3)
     with pytest.raises(
