@@ -19,6 +19,10 @@ SHORT_EPISODE = 50
 """Median steps of an episode below which a recording shows little of what a controller meets later."""
 MOST_AGAIN = 4
 """Most controllers that are tried again after the last round."""
+CONSTANT_ERROR = 1.0
+"""Error ahead of the mean of the data."""
+PATIENCE = 5
+"""Rounds in which the best one has to be surpassed."""
 HOLDS = 0.1
 """Share of a claim that may be missing in the recorded episodes of a round whose claim holds."""
 
@@ -58,7 +62,17 @@ class RecordingRound:
     def holds(self) -> bool:
         """Whether the episodes achieve what the models claimed, up to a tenth of it and two standard errors."""
         claimed, achieved = float(self.claimed.mean()), float(self.achieved.mean())
-        return achieved >= claimed - max(HOLDS * abs(claimed), 2.0 * self.standard_error)
+        return achieved >= claimed - self.tolerance
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the claim holds and is not exceeded, within the same limits."""
+        return self.holds and float(self.achieved.mean()) <= float(self.claimed.mean()) + self.tolerance
+
+    @property
+    def tolerance(self) -> float:
+        """Difference to a claim that counts as none."""
+        return max(HOLDS * abs(float(self.claimed.mean())), 2.0 * self.standard_error)
 
     @property
     def standard_error(self) -> float:
@@ -137,18 +151,34 @@ def round_to_continue(known: Sequence[RecordingRound]) -> RecordingRound | None:
     return equal[-1] if equal else None
 
 
+def labels_to_search(known: Sequence[RecordingRound], labels: Sequence[str]) -> list[str]:
+    """Return the models in which the next round evolves: all, or without those that are worse than a constant.
+
+    The latter if another one predicted the last round: the minimum over the models forbids what one of them underrates.
+    Where none predicts, that minimum is what protects from exploits.
+    """
+    errors = known[-1].errors if known else {}
+    if min(errors.values(), default=np.inf) > PREDICTS:
+        return list(labels)
+    return [label for label in labels if errors[label] <= CONSTANT_ERROR]
+
+
 def reason_to_end(known: Sequence[RecordingRound], last: RecordingRound, steps: int) -> str:
     """Return why no round follows ``last``, empty if one does; ``known`` are those before it.
 
-    Rounds end if the last two claims held and the last one gained nothing over the best before it. Its episodes must
-    have lasted all ``steps``, or a model must predict them: a claim of next to nothing holds easily. Where episodes
-    without noise are judged, claims often hold that later rounds exceed, so rounds do not end.
+    Rounds end if the last `PATIENCE` of them were no better than one before. Where every episode has noise they also
+    end if the last two claims were exact, and the last one gained nothing over the best before it: models that claim
+    less than is achieved have more to learn. Its episodes must have lasted all ``steps``, or a model must predict them,
+    because a claim of next to nothing holds easily.
     """
+    highest = best_round([*known, last])
+    if highest is not None and last.number - highest.number >= PATIENCE:
+        return f"none of the last {PATIENCE} was better than round {highest.number}"
     if len(last.achieved) < len(last.steps):
         return ""
     settled = bool((last.steps >= steps).all()) or min(last.errors.values(), default=np.inf) <= PREDICTS
     best = best_round(known)
-    if best is None or not known[-1].holds or not last.holds or not settled:
+    if best is None or not known[-1].is_exact or not last.is_exact or not settled:
         return ""
     gains = float(last.achieved.mean()) > float(best.achieved.mean()) + 2.0 * best.standard_error
-    return "" if gains else "the claims of two rounds held, and the last one gained nothing"
+    return "" if gains else "the claims of two rounds were exact, and the last one gained nothing"

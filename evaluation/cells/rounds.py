@@ -21,6 +21,7 @@ from evaluation.rounds import (
     RecordingRound,
     RoundsSummary,
     best_round,
+    labels_to_search,
     reason_to_end,
     round_to_continue,
     rounds_to_try_again,
@@ -48,14 +49,18 @@ ROUND_STEPS, EPISODE_STEPS = 1000, 100
 """Steps after which a round records no further episode, and most steps of an episode that is not judged."""
 FEWEST_EPISODES, OF_BODIES = 3, 4
 """Number of judged episodes at least, however long they last, and that of a robot that moves."""
+MORE_EPISODES = 4
+"""Most episodes of a round, as a multiple of those of `EPISODE_STEPS`: shorter ones are recorded more often."""
 EPISODES_AGAIN = 20
 """Most further episodes of a controller after the last round."""
 LONGEST_SHARE = 0.05
 """Most steps of a judged episode, as a share of all recorded steps."""
 SEARCH_STEPS, BEYOND = 120, 1.2
 """Horizon of the evolution at least, and as a multiple of the steps for which the best controller so far lasts."""
-DEFAULT_ROUNDS, MORE_ROUNDS = 6, 10
-"""Number of rounds by default: if trials end early, and if the robot moves or its reward is learned."""
+DEFAULT_ROUNDS, OF_MOVING = 16, 10
+"""Most rounds by default, and those of a robot that moves; most comparisons end earlier, see `reason_to_end`."""
+MOST_SEARCHES = 20.0
+"""Most simulated steps of all evolutions, in those of one with `SEARCH_STEPS`: the rounds end in some ten minutes."""
 NEARER = 0.1
 """Factor of sigma in a search that continues a controller."""
 RECORDING_SECONDS = 100.0
@@ -76,11 +81,9 @@ def default_rounds(experiment: Experiment, robot: Spec) -> int | None:
     if given or not _is_cheap(experiment, robot) or make_robot(robot).dynamics is not None:
         return None
     if isinstance(make_robot(robot).system.motion, PlanarBody):
-        return MORE_ROUNDS
-    if trials_end_early(experiment, robot):
-        return DEFAULT_ROUNDS
+        return OF_MOVING
     learns = make_task(experiment.task or default_task((robot,))).needs_recording
-    return MORE_ROUNDS if learns else None
+    return DEFAULT_ROUNDS if learns or trials_end_early(experiment, robot) else None
 
 
 def trials_end_early(experiment: Experiment, robot: Spec) -> bool:
@@ -125,6 +128,7 @@ class RoundsSoFar:
 class Round(CellSettings):
     """Round ``number``: fit ``specs`` to all data so far, evolve a controller in them, record ``robot`` under it.
 
+    Models that do not predict are left out of the evolution if others do, see `labels_to_search`.
     The evolution continues from that of `round_to_continue`, other runs from the beginning. Its trials are as long as
     those of the task if the robot moves, else see `search_horizon`. ``noise`` is that of
     `Exploring`, in a share ``noisy_share`` of the episodes. The others have the same starts in every round, and their
@@ -174,7 +178,8 @@ class Round(CellSettings):
             **identity_of(self.evolution),
             "repeats": self.evolution.repeats,
             "command_noise": [self.noise, self.noisy_share],
-            "episodes": [ROUND_STEPS, EPISODE_STEPS, FEWEST_EPISODES, LONGEST_SHARE, SEARCH_STEPS, BEYOND],
+            "episodes": [ROUND_STEPS, EPISODE_STEPS, FEWEST_EPISODES, MORE_EPISODES, LONGEST_SHARE],
+            "horizon": [SEARCH_STEPS, BEYOND],
             "max_steps": self.max_steps,
             "seed": self.seed,
             "last": self.is_last,
@@ -199,9 +204,10 @@ class Round(CellSettings):
         learned = {spec.label: Fit(spec, self.data, self.seed, self.preset).learn(dataset) for spec in self.specs}
         known: Sequence[RecordingRound] = summary.rounds
         start = round_to_continue(known)
+        searched = {label: learned[label] for label in labels_to_search(known, tuple(learned))}
         champion = evolve_controller(
             f"round {self.number}",
-            learned,
+            searched,
             dataset.system,
             in_trials_of(continued(self.evolution, start), goal, longest if moves else search_horizon(known, longest)),
             seed=cell_seed(self.seed, f"round {self.number}"),
@@ -212,19 +218,22 @@ class Round(CellSettings):
         noisy, seed = round(self.noisy_share * episodes), cell_seed(self.seed, "rounds")
         explored: list[Rollouts] = []
         driver: Controller = Exploring(law, self.noise)
-        seeds = trial_seeds(seed, noisy, generation=self.number)
+        seeds = trial_seeds(seed, MORE_EPISODES * noisy, generation=self.number)
         if self.noisy_share < 1.0:
             explorer = robot.bind(driver, make_task(with_horizon(goal, short)))
             explored = record_until(explorer, champion.parameters, seeds, noisy * short)
-            driver, seeds = law, trial_seeds(seed, max(fewest, episodes - noisy))
+            driver, seeds = law, trial_seeds(seed, max(fewest, MORE_EPISODES * (episodes - noisy)))
         judge = make_task(with_horizon(goal, whole))
-        judged = record_until(robot.bind(driver, judge), champion.parameters, seeds, len(seeds) * short, fewest)
+        count = noisy if driver is not law else episodes - noisy
+        judged = record_until(robot.bind(driver, judge), champion.parameters, seeds, count * short, fewest)
         driven, seeds = [*explored, *judged], seeds[: len(judged)]
         recorded = [run for one in driven for run in one.trajectories]
         new = [replace(run, name=f"round-{self.number}-{i + 1}") for i, run in enumerate(recorded)]
         if not new:
             raise InvalidData(f"round {self.number}: no step was recorded on {self.robot.label}")
-        claims = [DynamicsRunner(one).bind(driver, judge)(champion.parameters[None], seeds) for one in learned.values()]
+        claims = [
+            DynamicsRunner(model).bind(driver, judge)(champion.parameters[None], seeds) for model in searched.values()
+        ]
         made = RecordingRound(
             number=self.number,
             controller=champion.controller.text,
@@ -235,6 +244,8 @@ class Round(CellSettings):
             errors={label: error_ahead(model, dataset, new) for label, model in learned.items()},
         )
         ended = reason_to_end(known, made, whole)
+        if not ended and not moves and searches((*known, made), longest) > MOST_SEARCHES:
+            ended = "the controllers last so long that another evolution would take too much time"
         summary = replace(summary, rounds=(*known, made), ended=ended)
         if ended or self.is_last:
             summary = self.tried_again(summary, work, dataset.system, with_horizon(goal, whole))
@@ -297,6 +308,15 @@ def search_horizon(known: Sequence[RecordingRound], longest: int) -> int:
     if best is None or len(np.unique(np.concatenate([one.judged_steps for one in known]))) == 1:
         return min(SEARCH_STEPS, longest)
     return min(max(SEARCH_STEPS, round(BEYOND * float(best.judged_steps.mean()))), longest)
+
+
+def searches(known: Sequence[RecordingRound], longest: int) -> float:
+    """Return the simulated steps of all evolutions up to that after ``known``, in those of one with `SEARCH_STEPS`.
+
+    An evolution with longer trials has fewer generations, but at least half of them, see `in_trials_of`.
+    """
+    horizons = [search_horizon(known[:count], longest) for count in range(len(known) + 1)]
+    return sum(max(1.0, horizon / (2.0 * SEARCH_STEPS)) for horizon in horizons)
 
 
 def in_trials_of(evolution: ControllerEvolution, task: Spec, horizon: int) -> ControllerEvolution:
@@ -486,5 +506,5 @@ def _load(path: Path) -> RoundsSoFar:
     return RoundsSoFar(Dataset.load(path / "data"), load_result(RoundsSummary, path / "rounds"))
 
 
-CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=7)
+CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=8)
 CELL_KINDS["choose_round"] = CellKind(CONTROLLERS, version=4, tolerant=True)

@@ -16,6 +16,7 @@ from evaluation.cells.rounds import (
     in_trials_of,
     record_until,
     search_horizon,
+    searches,
 )
 from evaluation.experiment import Experiment
 from evaluation.experiment import with_rounds as with_settings_of_rounds
@@ -23,7 +24,14 @@ from evaluation.planning import plan_comparison
 from evaluation.report.report import brief, to_html
 from evaluation.report.sections.controllers import fitness_table
 from evaluation.report.sections.rounds import rounds_sentence, rounds_table
-from evaluation.rounds import RecordingRound, RoundsSummary, reason_to_end, round_to_continue, rounds_to_try_again
+from evaluation.rounds import (
+    RecordingRound,
+    RoundsSummary,
+    labels_to_search,
+    reason_to_end,
+    round_to_continue,
+    rounds_to_try_again,
+)
 from evaluation.running import with_further_families
 from sysid_evo.data import Dataset
 from sysid_evo.engine import Rollouts
@@ -170,6 +178,15 @@ def test_the_evolution_looks_no_farther_where_nothing_ends_episodes():
     assert search_horizon([whole, made(2, [0.0] * 3, [0.0] * 3, steps=[1000, 700, 1000])], 1000) == 1000
 
 
+def test_evolutions_with_trials_of_more_than_240_steps_count_as_several():
+    level, falls = [1.0] * 3, made(1, [0.0] * 3, [0.0] * 3, steps=[50, 60, 70])
+    lasts = made(2, level, level, steps=[390, 410, 400])
+    assert searches([], 1000) == 1.0
+    assert searches([falls], 1000) == 2.0
+    assert searches([falls, lasts], 1000) == 4.0  # 480 steps
+    assert searches([falls, lasts, falls], 1000) == 6.0
+
+
 @pytest.mark.parametrize(("lasts", "fewest", "episodes"), [(30, 3, 10), (150, 3, 7), (400, 3, 3), (1000, 4, 4)])
 def test_the_longer_a_controller_lasts_the_fewer_episodes_are_recorded(lasts, fewest, episodes):
     began = []
@@ -207,7 +224,7 @@ def test_a_claim_holds_up_to_a_tenth_and_two_standard_errors():
     assert not made(1, -claim, [-11.2] * 4).holds
 
 
-def test_rounds_end_if_two_claims_held_without_a_gain_in_whole_episodes():
+def test_rounds_end_if_two_claims_were_exact_without_a_gain_in_whole_episodes():
     claim, level = np.full(4, 10.0), [10.0] * 4
     first, same = made(1, claim, level), made(2, claim, level)
     assert reason_to_end([first], same, 100)
@@ -215,10 +232,27 @@ def test_rounds_end_if_two_claims_held_without_a_gain_in_whole_episodes():
     assert not reason_to_end([first], made(2, claim, [12.0] * 4), 100)  # a gain
     assert not reason_to_end([first], made(2, claim, [5.0] * 4), 100)  # a claim that does not hold
     assert not reason_to_end([made(1, claim, [5.0] * 4)], same, 100)
+    assert not reason_to_end([first], made(2, 0.8 * claim, level), 100)  # a claim that is exceeded
     falls = made(2, claim, level, steps=[20, 30, 20, 100])
     assert reason_to_end([first], falls, 100)  # its models predict it, with an error of 0.3
     assert not reason_to_end([first], replace(falls, errors={"a": 2.0}), 100)
     assert not reason_to_end([first], replace(same, steps=np.full(8, 100)), 100)  # half of its episodes have noise
+
+
+def test_rounds_end_if_the_last_ones_were_no_better_than_one_before():
+    half = np.full(8, 50)  # half of the episodes have noise
+    rounds = [made(number, [9.0] * 4, [level] * 4, half) for number, level in enumerate((5, 8, 7, 8, 6, 7, 8), 1)]
+    assert reason_to_end(rounds[:-1], rounds[-1], 100) == "none of the last 5 was better than round 2"
+    assert not reason_to_end(rounds[:-2], rounds[-2], 100)
+    assert not reason_to_end(rounds[:-1], made(7, [9.0] * 4, [8.5] * 4, half), 100)
+
+
+def test_a_model_that_is_worse_than_a_constant_is_left_out_of_the_next_evolution_if_another_one_predicts():
+    one = made(1, [1.0] * 2, [1.0] * 2)
+    known, none = replace(one, errors={"a": 1.1, "b": 0.4, "c": 0.9}), replace(one, errors={"a": 1.1, "b": 0.6})
+    assert labels_to_search([], ("a", "b")) == ["a", "b"]
+    assert labels_to_search([none, known], ("a", "b", "c")) == ["b", "c"]
+    assert labels_to_search([known, none], ("a", "b")) == ["a", "b"]
 
 
 def test_the_next_round_continues_from_the_last_one_that_is_no_worse_than_the_best():
@@ -398,7 +432,7 @@ class Everything(Work):
 @pytest.mark.parametrize(
     ("settings", "rounds"),
     [
-        ({"robot": 'gymnasium(id="CartPole-v1")'}, 6),
+        ({"robot": 'gymnasium(id="CartPole-v1")'}, 16),
         ({"robot": 'gymnasium(id="CartPole-v1")', "rounds": 1}, 1),
         ({"robot": 'gymnasium(id="CartPole-v1")', "models": ("linear",)}, None),
         ({"robot": 'gymnasium(id="CartPole-v1")', "controller": "feed_forward"}, None),
@@ -409,7 +443,7 @@ class Everything(Work):
             None,
         ),
         ({"robot": 'gymnasium(id="Pendulum-v1")'}, None),  # its reward is known
-        ({"robot": 'gymnasium(id="Reacher-v5")'}, 10),  # its reward is learned
+        ({"robot": 'gymnasium(id="Reacher-v5")'}, 16),  # its reward is learned
         ({"robot": 'gymnasium(id="Reacher-v5")', "max_steps": 10_000_000}, None),  # an hour of steps
         ({"robot": "cart_pole", "task": "balance"}, None),
     ],
