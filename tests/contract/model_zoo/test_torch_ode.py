@@ -83,7 +83,9 @@ def test_the_rates_of_a_linear_system_are_learned_to_eight_per_cent():
     "options",
     [
         {"activation": "silu", "state_lags": 1, "control_lags": 2},
-        {"solver": "dopri5", "adjoint": True, "updates": 2, "hidden": [4], "horizon": 2},
+        pytest.param(
+            {"solver": "dopri5", "adjoint": True, "updates": 2, "hidden": [4], "horizon": 2}, marks=pytest.mark.nightly
+        ),
         {"solver": "implicit_adams", "updates": 2},
     ],
 )
