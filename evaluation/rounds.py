@@ -21,8 +21,6 @@ MOST_AGAIN = 4
 """Most controllers that are tried again after the last round."""
 CONSTANT_ERROR = 1.0
 """Error ahead of the mean of the data."""
-PATIENCE = 5
-"""Rounds in which the best one has to be surpassed."""
 HOLDS = 0.1
 """Share of a claim that may be missing in the recorded episodes of a round whose claim holds."""
 
@@ -166,14 +164,11 @@ def labels_to_search(known: Sequence[RecordingRound], labels: Sequence[str]) -> 
 def reason_to_end(known: Sequence[RecordingRound], last: RecordingRound, steps: int) -> str:
     """Return why no round follows ``last``, empty if one does; ``known`` are those before it.
 
-    Rounds end if the last `PATIENCE` of them were no better than one before. Where every episode has noise they also
-    end if the last two claims were exact, and the last one gained nothing over the best before it: models that claim
-    less than is achieved have more to learn. Its episodes must have lasted all ``steps``, or a model must predict them,
-    because a claim of next to nothing holds easily.
+    Where every episode has noise, rounds end if the last two claims were exact, and the last one gained nothing over
+    the best before it: models that claim less than is achieved have more to learn. Its episodes must have lasted all
+    ``steps``, or a model must predict them, because a claim of next to nothing holds easily. Rounds that are worse than
+    an earlier one are no reason to end: a double pendulum rises after seven of them.
     """
-    highest = best_round([*known, last])
-    if highest is not None and last.number - highest.number >= PATIENCE:
-        return f"none of the last {PATIENCE} was better than round {highest.number}"
     if len(last.achieved) < len(last.steps):
         return ""
     settled = bool((last.steps >= steps).all()) or min(last.errors.values(), default=np.inf) <= PREDICTS
