@@ -300,11 +300,76 @@ def _is_loaded(name: str) -> bool:
 def _boosters(package: str, texts: list[str]) -> Boosters:
     module = import_module(package)
     if package == "lightgbm":
+        for text in texts:
+            check_lightgbm(text)
         return Boosters(package, [module.Booster(model_str=text) for text in texts])
     found = [module.Booster({"nthread": 1}) for _ in texts]
     for booster, text in zip(found, texts, strict=True):
         booster.load_model(bytearray(text.encode()))
     return Boosters(package, found)
+
+
+PER_SPLIT = "split_feature", "threshold", "decision_type", "left_child", "right_child"
+PER_SPLIT_OR_NONE = "split_gain", "internal_value", "internal_weight", "internal_count"
+PER_LEAF_OR_NONE = "leaf_weight", "leaf_count"
+OF_TREES = {
+    *PER_SPLIT, *PER_SPLIT_OR_NONE, *PER_LEAF_OR_NONE, "Tree", "num_leaves", "num_cat", "leaf_value", "is_linear",
+    "leaf_const", "num_features", "leaf_features", "leaf_coeff", "shrinkage",
+}  # fmt: skip
+NUMBER = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d{1,3})?|nan|[-+]?inf")
+
+
+def check_lightgbm(text: str) -> None:
+    """Raise `ArtefactError` unless all lists in LightGBM's ``text`` have their lengths, and nodes refer to later ones.
+
+    LightGBM itself trusts these lengths, and would read and write beyond its arrays.
+    """
+    head, begin, trees = text.partition("\nTree=")
+    header = _lightgbm_values(head)
+    inputs, sizes = int(header["max_feature_idx"]) + 1, [int(size) for size in header["tree_sizes"].split()]
+    ends, trees = np.cumsum(sizes), begin[1:] + trees
+    wanted = text.isascii() and "\r" not in text and header["num_class"] == header["num_tree_per_iteration"] == "1"
+    named = len(header["feature_names"].split()) == len(header["feature_infos"].split()) == inputs
+    inside = min(sizes) > 0 and ends[-1] <= len(trees)
+    blocks = [trees[end - size : end] for size, end in zip(sizes, ends, strict=True)] if inside else []
+    each = (block.startswith(f"Tree={i}\n") and _is_tree(block, inputs) for i, block in enumerate(blocks))
+    if not (wanted and named and inside and all(each)):
+        raise ArtefactError("the stored regressor: expected the text of trees of LightGBM, without categories")
+
+
+def _is_tree(block: str, inputs: int) -> bool:
+    """Whether all lists of a tree have their lengths, and its nodes refer to later ones and to its inputs."""
+    lines = block.partition("\n\n")[0]
+    values = {name: value.split() for name, value in _lightgbm_values(lines).items()}
+    leaves, linear = int(*values["num_leaves"]), values.get("is_linear") == ["1"]
+    splits = leaves - 1
+    lengths = dict.fromkeys(("leaf_value", *(("leaf_const", "num_features") if linear else ())), leaves)
+    lengths |= dict.fromkeys(PER_SPLIT, splits)
+    known = set(values) <= OF_TREES and all(NUMBER.fullmatch(one) for numbers in values.values() for one in numbers)
+    known &= all(len(values[name]) == length for name, length in lengths.items())
+    known &= all(len(values.get(name, ())) in (0, leaves) for name in PER_LEAF_OR_NONE)
+    known &= all(len(values.get(name, ())) in (0, splits) for name in PER_SPLIT_OR_NONE)
+    if not known or values["num_cat"] != ["0"] or leaves < 1:
+        return False
+    features, left, right, kinds = (
+        np.array(values[name], dtype=int) for name in ("split_feature", "left_child", "right_child", "decision_type")
+    )
+    if linear:
+        counts, used = (np.array(values[name], dtype=int) for name in ("num_features", "leaf_features"))
+        if (counts < 0).any() or not counts.sum() == len(used) == len(values["leaf_coeff"]):
+            return False
+        features = np.concatenate([features, used])
+    places = np.arange(splits)
+    later = all(((-leaves <= one) & (one < 0) | (places < one) & (one < splits)).all() for one in (left, right))
+    return bool(later and (kinds % 2 == 0).all() and (features >= 0).all() and (features < inputs).all())
+
+
+def _lightgbm_values(text: str) -> dict[str, str]:
+    """Return the values of lines ``name=value``. Raises `ArtefactError` if a name occurs twice."""
+    pairs = [line.partition("=")[::2] for line in text.split("\n")]
+    if len({name for name, _ in pairs}) < len(pairs):
+        raise ArtefactError("the stored regressor: a value is given twice")
+    return dict(pairs)
 
 
 def check_trees(estimator: Any) -> None:

@@ -31,7 +31,7 @@ from sklearn.utils import all_estimators
 from evaluation import compare
 from evaluation.chosen_models import with_preset
 from model_zoo.auto.candidates import candidates_named
-from model_zoo.estimators import MODULES, _regressors, read, written
+from model_zoo.estimators import MODULES, _regressors, check_lightgbm, read, written
 from model_zoo.regressor import Regressor
 from sysid_evo import as_model, load_model, make_model, save_model
 from sysid_evo.errors import ArtefactError, InvalidArgument, MissingExtra, UnknownName, UnknownParameter
@@ -267,6 +267,77 @@ def test_trees_that_would_be_read_beyond_their_end_are_refused(forest, rng):
             (tree.children_left if name == "left" else tree.feature)[0] = value
         with pytest.raises(ArtefactError, match="expected trees whose nodes refer to later nodes and to its inputs"):
             read(*written(fitted))
+
+
+LIGHTGBM_HEAD = """tree
+version=v4
+num_class=1
+num_tree_per_iteration=1
+label_index=0
+max_feature_idx=2
+objective=regression
+feature_names=a b c
+feature_infos=[-1:1] [-1:1] [-1:1]
+tree_sizes={size} {size}
+
+"""
+LIGHTGBM_TREE = """num_leaves=3
+num_cat=0
+split_feature=0 2
+split_gain=3 2
+threshold=0.5 -0.25
+decision_type=2 2
+left_child=1 -1
+right_child=-2 -3
+leaf_value=1 2 3
+leaf_weight=5 5 5
+leaf_count=5 5 5
+internal_value=0 0
+internal_weight=0 0
+internal_count=15 10
+is_linear=1
+leaf_const=1 2 3
+num_features=1 0 0
+leaf_features=1
+leaf_coeff=0.5
+shrinkage=1
+
+
+"""
+
+
+def lightgbm_text(old="", new=""):
+    """Return a text of two trees, with ``old`` replaced by ``new`` and the sizes of the trees set for it."""
+    tree = LIGHTGBM_TREE.replace(old, new, 1) if old else LIGHTGBM_TREE
+    head = LIGHTGBM_HEAD.replace("{size}", str(len(f"Tree=0\n{tree}")))
+    trees = "".join(f"Tree={i}\n{tree}" for i in range(2)) + "end of trees\n"
+    return (head if not old or old in LIGHTGBM_TREE else head.replace(old, new, 1)) + trees
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("left_child=1", "left_child="), ("left_child=1", "left_child=0"), ("left_child=1", "left_child=2"),
+        ("right_child=-2", "right_child=-4"), ("split_feature=0", "split_feature=3"),
+        ("split_feature=0", "split_feature=-1"), ("decision_type=2", "decision_type=3"),
+        ("num_cat=0", "num_cat=1"), ("threshold=0.5", "threshold=0_5"),
+        ("leaf_value=1", "leaf_value=1 1"), ("leaf_const=1", "leaf_const="), ("leaf_weight=5", "leaf_weight="),
+        ("internal_count=15", "internal_count="), ("shrinkage=1", "shrinkage=1\nshrinkage=1"),
+        ("shrinkage=1", "more=1"),
+        ("num_features=1", "num_features=2"), ("num_features=1 0", "num_features=-1 2"),
+        ("leaf_features=1", "leaf_features=3"),
+        ("num_leaves=3", "num_leaves=0"), ("num_class=1", "num_class=2"), ("max_feature_idx=2", "max_feature_idx=9"),
+        ("feature_infos=", "feature_infos=none "), ("tree_sizes=", "tree_sizes=0 "), ("tree_sizes=", "tree_sizes=9"),
+        ("tree_sizes=", "sizes="), ("label_index", "label\r"), ("feature_names=a", "feature_names=\u00fc"),
+    ],
+)  # fmt: skip
+def test_a_text_that_lightgbm_would_read_beyond_its_end_is_refused(old, new):
+    pytest.importorskip("lightgbm")
+    inputs = np.array([[0.0, 1.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    predictions = read("lightgbm", json.dumps([lightgbm_text()]).encode()).predict(inputs)
+    np.testing.assert_array_equal(predictions[:, 0], 2.0 * np.array([1.5, 3.0, 2.0]))
+    with pytest.raises((ArtefactError, KeyError, ValueError)):  # `read` makes an ArtefactError of each
+        check_lightgbm(lightgbm_text(old, new))
 
 
 def test_bytes_that_no_regressor_is_stored_as_are_refused(rng):
