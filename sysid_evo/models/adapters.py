@@ -6,11 +6,11 @@ import re
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 from sysid_evo.artefacts import strict_json
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.models.base import DynamicsModel, make_model
+from sysid_evo.models.base import AnyModel, DynamicsModel, make_model
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.objects import class_name, keep_object
 from sysid_evo.registry.plugins import SHIPPED
@@ -55,12 +55,12 @@ def adapter_of(thing: object) -> Adapter | None:
     return next((adapter for adapter in found if adapter.recognises(thing)), None)
 
 
-def as_model(thing: object, *, fitted: bool = False) -> DynamicsModel:
+def as_model(thing: object, *, fitted: bool = False) -> AnyModel:
     """Return the unfitted model of a spec or of an object that an adapter recognises; a model is returned unchanged.
 
     With ``fitted`` the object is used as it is; `fit` then records the data only. Raises `InvalidArgument`.
     """
-    if isinstance(thing, DynamicsModel):
+    if isinstance(thing, AnyModel):
         return thing
     if isinstance(thing, (str, Spec)):
         return make_model(thing)
@@ -75,7 +75,7 @@ def as_model(thing: object, *, fitted: bool = False) -> DynamicsModel:
             f"({', '.join(adapters.names())}), got {got}. This works: models=[{line}]. A callable is passed as "
             "lambda x, u: thing(x, u); anything else becomes a family, see sysid-evo plugin new"
         )
-    return adapter.model(thing, fitted=fitted)
+    return cast("AnyModel", adapter.model(thing, fitted=fitted))
 
 
 def as_spec(given: object) -> Spec:
