@@ -52,17 +52,20 @@ class StepNoise:
     """Normal noise added to the prediction in every step: ``white``, and ``lasting``, which is constant during a run.
 
     Both (len(edges) + 1, nx) are in units of the states; a row is used until the steps since the start reach its edge.
-    After the lags the carry holds the lasting draws (nx), the number of steps, and a factor of the noise.
+    After the lags the carry holds the lasting draws (nx), the number of steps, and a factor f of the noise. This is
+    f (1 + g (1 - 1 / f)^2) times as large, with ``growth`` g (len(edges) + 1, nx).
     """
 
     edges: Sequence[int]
     white: Array
     lasting: Array
+    growth: Array
 
     @property
     def parameters(self) -> Array:
-        """The parameters of `add_noise`: the number of edges, the edges, and alternately white and lasting sizes."""
-        return np.concatenate([[len(self.edges)], self.edges, np.ravel(np.concatenate([self.white, self.lasting], 1))])
+        """The parameters of `add_noise`: number of edges, edges, and alternately white and lasting sizes and growth."""
+        rows = np.concatenate([self.white, self.lasting, self.growth], axis=1)
+        return np.concatenate([[len(self.edges)], self.edges, np.ravel(rows)])
 
 
 @overload
@@ -181,14 +184,18 @@ def add_noise(held, noise, after, nx, p):
     """Add the noise of this step to ``after``, whose size depends on the number of steps, and count the step."""
     edges = int(p[0])
     sizes, count, factor = view(p, 1 + edges), load(held, nx * LANES), load(held, (nx + 1) * LANES)
+    share = 1.0 - 1.0 / max(factor, 1.0)
     for row in range(nx):
-        white, lasting = splat(sizes[2 * nx * edges + row]), splat(sizes[2 * nx * edges + nx + row])
+        at = 3 * nx * edges + row
+        white, lasting, growth = splat(sizes[at]), splat(sizes[at + nx]), splat(sizes[at + 2 * nx])
         for back in range(edges):
             edge = edges - 1 - back
-            white = where_less(count, p[1 + edge], sizes[2 * nx * edge + row], white)
-            lasting = where_less(count, p[1 + edge], sizes[2 * nx * edge + nx + row], lasting)
+            at = 3 * nx * edge + row
+            white = where_less(count, p[1 + edge], sizes[at], white)
+            lasting = where_less(count, p[1 + edge], sizes[at + nx], lasting)
+            growth = where_less(count, p[1 + edge], sizes[at + 2 * nx], growth)
         moved = white * load(noise, row * LANES) + lasting * load(held, row * LANES)
-        store(after, row * LANES, load(after, row * LANES) + factor * moved)
+        store(after, row * LANES, load(after, row * LANES) + factor * (1.0 + growth * share * share) * moved)
     store(held, nx * LANES, count + 1.0)
 
 

@@ -161,7 +161,11 @@ def test_a_step_adds_noise_of_which_a_share_lasts_times_a_factor_and_counts_the_
     np.testing.assert_array_equal(after[:, [-4, -3, -1]], carry[:, [-4, -3, -1]])
     moved = after[:, :2] - model.variant(stochastic=False).step(carry[:, :-4], control)[:, :2]
     share = np.sqrt(1.0 - model.persistent_) * noise + np.sqrt(model.persistent_) * carry[:, -4:-2]
-    scale = model.horizon_scales_[[0] + [1] * 9 + [2] * 10 + [3] * 60]
+    own = model.horizon_scales_
+    away = (1.0 - 1.0 / carry[:, -1:]) ** 2
+    spans = [own[0], own[1], own[2], own[3]], [own[0], own[1], own[1:3].max(axis=0), own[1:].max(axis=0)]
+    scale, largest = (np.repeat(span, [1, 9, 10, 60], axis=0) for span in spans)
+    scale = scale + away * (largest - scale)
     np.testing.assert_allclose(moved, carry[:, -1:] * scale * model.residual_ * share, atol=1e-12)
 
 
