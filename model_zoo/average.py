@@ -40,7 +40,6 @@ class Average(MeanModel):
     presets: ClassVar[dict[str, dict[str, Any]]] = {}
 
     families: list[Any] | None = None
-    dead_band: bool = False
     max_steps: int | None = 100_000
 
     def check_parameters(self) -> None:

@@ -57,7 +57,6 @@ class Backprop27(DynamicsModel):
     levels: int = 3
     state_lags: int = 0
     control_lags: int = 0
-    dead_band: bool = False
     max_steps: int | None = 100_000
 
     def check_system(self, system: System) -> None:

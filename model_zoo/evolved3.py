@@ -57,7 +57,6 @@ class Evolved3(DynamicsModel):
     error_units: Weights = "spread"
     state_lags: int = 0
     control_lags: int = 0
-    dead_band: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         standard = ChannelScaling.of(dataset)
@@ -129,4 +128,4 @@ class Evolved3(DynamicsModel):
         by_state = hidden.reshape(p, len(control), nx, self.hidden)
         change = np.einsum("pbsh,psh->pbs", by_state, last.reshape(p, nx, self.hidden)) + last_bias[:, None]
         after = self.system.integrate(carry[..., :nx], change * self.output_scale_)
-        return self.shift_lags(carry, held, self.apply_limits(carry, held, after))
+        return self.shift_lags(carry, held, self.apply_limits(after))

@@ -62,7 +62,6 @@ class GaussianProcess(StochasticModel):
     inducing: int = 250
     state_lags: int | None = None
     control_lags: int | None = None
-    dead_band: bool = False
     max_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:

@@ -37,7 +37,6 @@ class Linear(StochasticModel):
     intercept: bool = True
     state_lags: int = 0
     control_lags: int = 0
-    dead_band: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1])

@@ -45,7 +45,6 @@ class NearestNeighbour(DynamicsModel):
     levels: int = 3
     state_lags: int = 0
     control_lags: int = 0
-    dead_band: bool = False
 
     def check_system(self, system: System) -> None:
         ControlGrid.of(system, self.levels)
@@ -141,7 +140,6 @@ class KNeighbours(StochasticModel):
     control_weight: float = 1.0
     state_lags: int | None = None
     control_lags: int | None = None
-    dead_band: bool = False
     max_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:

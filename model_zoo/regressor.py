@@ -71,13 +71,12 @@ class Regressor(StochasticModel):
         state_lags: int | None = None,
         control_lags: int | None = None,
         stochastic: bool = False,
-        dead_band: bool = False,
         max_steps: int | None = 100_000,
         **settings: Any,
     ) -> None:
         self.estimator, self.target, self.fitted = estimator, target, fitted
         self.state_lags, self.control_lags = state_lags, control_lags
-        self.stochastic, self.dead_band, self.max_steps = stochastic, dead_band, max_steps
+        self.stochastic, self.max_steps = stochastic, max_steps
         self.settings = settings
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The carry: positions of states, lags and controls, clipping, and the standstill dead band."""
+"""The carry: positions of states, lags and controls, and clipping."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sysid_evo.system import System
 from sysid_evo.types import Array
 
 T = TypeVar("T")
@@ -84,32 +83,6 @@ def recent(states: Array, controls: Array, lags: int) -> tuple[Array, Array]:
 def latest(states: Array, controls: Array, lags: int, neutral: Array) -> tuple[Array, Array]:
     """Return the end of a history like `recent`; a shorter one is padded, see `pad_history`."""
     return recent(*pad_history(states, controls, lags, neutral), lags)
-
-
-REST_BAND = 0.005
-"""Width of the dead band around neutral, as a share of the range of the training states."""
-
-
-def dead_band_size(system: System, state_bounds: Array, multiple: float) -> Array:
-    """Return the half width (nx,) of the dead band, from ``state_bounds`` (2, nx) of ``multiple`` ranges."""
-    ranges = (state_bounds[1] - state_bounds[0]) / multiple
-    for i, period in system.periods.items():
-        ranges[i] = period
-    return np.asarray(REST_BAND * ranges)
-
-
-def hold_at_rest(
-    system: System, earlier: slice | Sequence[int], band: Array, carry: Array, control: Array, after: Array
-) -> Array:
-    """Return ``after`` (B, nx), set to neutral within ``band`` (nx,) around it while all controls are neutral.
-
-    These include the ``earlier`` controls in the carry: with dead time, a short pulse acts after it has ended.
-    """
-    neutral, idle_control = system.neutral_state, system.neutral_control
-    at_rest = (np.abs(carry[..., : system.nx] - neutral) <= band).all(axis=-1)
-    past = carry[..., earlier]
-    idle = (control == idle_control).all(axis=-1) & (past == np.resize(idle_control, past.shape[-1])).all(axis=-1)
-    return np.where((at_rest & idle)[..., None], neutral, after)
 
 
 def clip_state(carry: Array, state_bounds: Array | None) -> tuple[Array, np.ndarray]:

@@ -131,7 +131,6 @@ RENAMED: Mapping[str, tuple[str, ...]] = {
     "polish": ("polish_generations",),
     "recipe": ("procedure",),
     "reference": ("compare_with",),
-    "rest_hold": ("dead_band",),
     "runs": ("repeats",),
     "spread": ("start_spread", "initial_std"),
     "spread_groups": ("calibration_folds",),

@@ -79,7 +79,6 @@ class Auto(MeanModel):
     class_cutoff: float = 1.4
     horizons: list[int] | None = None
     folds: int = 3
-    dead_band: bool = False
     max_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:

@@ -60,7 +60,6 @@ class Parametrised(PlanarCarModel, StochasticModel):
     horizon: int = 10
     error_units: Weights = "spread"
     control_lags: int = 0
-    dead_band: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         scale = parameter_scale(dataset, self.roles)
@@ -116,7 +115,7 @@ class Parametrised(PlanarCarModel, StochasticModel):
     def _advance(self, parameters: Array, carry: Array, control: Array) -> Array:
         """Step parameter vectors (P, 12) from carries (P, B, n_carry) under controls (B, nu)."""
         applied = np.broadcast_to(control, (len(parameters), *control.shape))
-        after = self.apply_limits(carry, applied, self._next_states(parameters, carry, applied))
+        after = self.apply_limits(self._next_states(parameters, carry, applied))
         return self.shift_lags(carry, applied, after)
 
     def _next_states(self, parameters: Array, carry: Array, control: Array) -> Array:

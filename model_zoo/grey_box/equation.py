@@ -292,13 +292,10 @@ def propagate_hidden(structure: GreyBoxEquation, p: Array, states: Array, contro
     return hidden
 
 
-def structure_kernel(
-    structure: GreyBoxEquation, p: Array, *, dead_band_size: Array | None = None, extra: Predictor | None = None
-) -> DynamicsKernel | None:
+def structure_kernel(structure: GreyBoxEquation, p: Array, *, extra: Predictor | None = None) -> DynamicsKernel | None:
     """Return the kernel of a structure with parameters (n,); None if the motion or an array law has no compiled form.
 
-    With ``dead_band_size`` (n,), an extended state at rest stays there; ``extra`` is added to the rates of measured
-    states.
+    ``extra`` is added to the rates of measured states.
     """
     system, rows = structure.extended, structure.actuator_rows
     law = LawOverLanes(
@@ -323,7 +320,7 @@ def structure_kernel(
         return None
     if not structure.discrete:
         after = runge_kutta_predictor(after, system, substeps=structure.substeps, n_carry=structure.layout.size)
-    return stepping_kernel(after, system, output="next_state", lags=(0, structure.delay), dead_band_size=dead_band_size)
+    return stepping_kernel(after, system, output="next_state", lags=(0, structure.delay))
 
 
 @cache

@@ -29,7 +29,7 @@ from model_zoo.grey_box.parameters import (
     undetermined_parameters,
 )
 from model_zoo.grey_box.residual import ResidualNetwork, conditioned, inputs_of, learned_shape
-from sysid_evo.carry import REST_BAND, CarryLayout, hold_at_rest
+from sysid_evo.carry import CarryLayout
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, ShapeError
 from sysid_evo.kernels import DynamicsKernel
@@ -106,7 +106,6 @@ class GreyBox(DynamicsModel):
     past_samples: int = 5
     residual: bool = False
     residual_points: int = 150
-    dead_band: bool = False
     max_steps: int | None = 100_000
 
     @staticmethod
@@ -277,7 +276,7 @@ class GreyBox(DynamicsModel):
         """Return inputs (N, n) of the residual at single steps, and the residual of the rates there (N, nx)."""
         windows = dataset.windows(1, history=self.n_lags, moving=True)
         windows = windows if len(windows) else dataset.windows(1, history=self.n_lags)
-        physics = self.variant(residual=False, dead_band=False)
+        physics = self.variant(residual=False)
         carry, control = physics.start(windows.past_states, windows.past_controls), windows.controls[:, 0]
         after = physics.step(carry, control)[:, : self.system.nx]
         return inputs_of(self.integrated)(carry, control), self.system.difference(
@@ -342,23 +341,12 @@ class GreyBox(DynamicsModel):
 
         with np.errstate(all="ignore"):
             states, past = (part.T for part in structure.step(self.parameters_[:, None], carry.T, control.T, extra))
-        if (band := self._extended_band) is not None:
-            states = hold_at_rest(structure.extended, structure.layout.earlier_controls, band, carry, control, states)
         return np.concatenate([states, past], axis=1)
-
-    @property
-    def _extended_band(self) -> Array | None:
-        """Distance from neutral (n,) within which each extended state is at rest; None without ``dead_band``."""
-        if self.dead_band_size is None:
-            return None
-        more = self.integrated.extended.states[self.system.nx :]
-        width = [channel.high - channel.low if channel.bounded else 1.0 for channel in more]
-        return np.concatenate([self.dead_band_size, REST_BAND * np.array(width)])
 
     def kernel(self) -> DynamicsKernel | None:
         structure, residual = self.integrated, self._residual
         extra = None if residual is None else residual.predictor(structure)
-        return structure_kernel(structure, self.parameters_, dead_band_size=self._extended_band, extra=extra)
+        return structure_kernel(structure, self.parameters_, extra=extra)
 
 
 def positions_of(model: DynamicsModel, what: str, wanted: Sequence[str], there: Sequence[str]) -> tuple[int, ...]:

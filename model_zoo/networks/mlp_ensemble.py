@@ -96,7 +96,6 @@ class MlpEnsemble(StochasticModel):
     input_noise: float = 0.05
     folds: int = 6
     steering: list[str] | None = None
-    dead_band: bool = False
     max_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:

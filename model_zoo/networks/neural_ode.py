@@ -85,7 +85,6 @@ class NeuralOde(StochasticModel):
     horizon: int = 20
     learning_rate: float = 6e-3
     input_noise: float = 0.05
-    dead_band: bool = False
     max_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:

@@ -60,7 +60,6 @@ class TorchModule(DynamicsModel):
     updates: int = 1500
     horizon: int = 20
     learning_rate: float = 6e-3
-    dead_band: bool = False
     max_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:

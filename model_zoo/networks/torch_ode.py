@@ -74,7 +74,6 @@ class TorchOde(DynamicsModel):
     updates: int = 1500
     horizon: int = 20
     learning_rate: float = 6e-3
-    dead_band: bool = False
     max_steps: int | None = 100_000
 
     def check_parameters(self) -> None:

@@ -53,7 +53,6 @@ class Narx(PolynomialModel):
     state_lags: int | None = None
     control_lags: int | None = None
     lag_search: Literal["all", "few"] = "all"
-    dead_band: bool = False
     max_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:

@@ -61,7 +61,6 @@ class PySindy(DynamicsModel):
     model: Any = None
     fitted: bool = False
     substeps: int = 1
-    dead_band: bool = False
     max_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:

@@ -72,7 +72,6 @@ class SparsePolynomial(PolynomialModel):
     state_lags: int | None = None
     control_lags: int | None = None
     lag_search: Literal["all", "few"] = "all"
-    dead_band: bool = False
     max_steps: int | None = 100_000
 
     def check_parameters(self) -> None:

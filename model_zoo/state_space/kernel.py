@@ -19,13 +19,12 @@ from sysid_evo.kernels import (
     splat,
     store,
     view,
-    where_at_most,
 )
 from sysid_evo.models.kernels.stepping import copy
 from sysid_evo.system import System
 from sysid_evo.types import Array, IntArray, check_shape
 
-HEAD = Layout("ny", "nu", "n", "members", "far", "held", "limited", "output", "rest", "limits", "own", align=CACHE_LINE)
+HEAD = Layout("ny", "nu", "n", "members", "far", "limited", "output", "limits", "own", align=CACHE_LINE)
 MEMBER = Layout("n", "units", "next", align=CACHE_LINE)
 
 UNBOUNDED = 1e30
@@ -43,12 +42,8 @@ def state_space_kernel(
     gain: Array,
     far: float,
     flow: bool,
-    rest: Array | None,
 ) -> DynamicsKernel:
-    """Return the kernel of a `StateSpaceModel`; ``rest`` is band, hidden band, neutral state, hidden rest, control.
-
-    With ``flow`` the weights give rates, see `flow_step`.
-    """
+    """Return the kernel of a `StateSpaceModel`; with ``flow`` the weights give rates, see `flow_step`."""
     blocks, at, ny, total = [], 0, system.nx, sum(len(one) for one in outer)
     check_shape("offset", offset, (ny,))
     check_shape("output", output, (ny, total))
@@ -63,7 +58,6 @@ def state_space_kernel(
         at += n
     parts = [
         padded(np.concatenate([offset, output.ravel()])),
-        padded(np.empty(0) if rest is None else rest),
         padded(np.ravel(system.limits) if system.limited else np.empty(0)),
     ]
     places = np.cumsum([HEAD.size, *(len(part) for part in parts)])
@@ -75,12 +69,10 @@ def state_space_kernel(
         n=at,
         members=len(outer),
         far=far,
-        held=rest is not None,
         limited=system.limited,
         output=places[0],
-        rest=places[1],
-        limits=places[2],
-        own=places[3],
+        limits=places[1],
+        own=places[2],
     )
     widest = max((len(one) for one in inner), default=0)
     if flow:
@@ -114,7 +106,7 @@ def flow_step(carry, control, noise, parameters, scratch):
         correct(after, scratch, own, ny, nu, far)
         at += count
         place += int(own[MEMBER.next])
-    conclude(carry, control, parameters, ny, nu, n, scratch)
+    conclude(carry, parameters, ny, n, scratch)
 
 
 def step(carry, control, noise, parameters, scratch):
@@ -129,7 +121,7 @@ def step(carry, control, noise, parameters, scratch):
         advance(view(states, at * LANES), control, scratch, own, ny, nu, far, view(fresh, at * LANES), room)
         at += int(own[MEMBER.n])
         place += int(own[MEMBER.next])
-    conclude(carry, control, parameters, ny, nu, n, scratch)
+    conclude(carry, parameters, ny, n, scratch)
 
 
 def off_by(carry, output, ny, n, off):
@@ -139,7 +131,7 @@ def off_by(carry, output, ny, n, off):
         store(off, row * LANES, load(carry, row * LANES) - load(off, row * LANES))
 
 
-def conclude(carry, control, parameters, ny, nu, n, scratch):
+def conclude(carry, parameters, ny, n, scratch):
     """Write the carry from the next hidden states, which follow the outputs in scratch."""
     observe(view(scratch, ny * LANES), view(parameters, int(parameters[HEAD.output])), ny, n, scratch)
     if parameters[HEAD.limited] > 0.0:
@@ -147,8 +139,6 @@ def conclude(carry, control, parameters, ny, nu, n, scratch):
         for row in range(ny):
             there = load(scratch, row * LANES)
             store(scratch, row * LANES, min(max(there, limits[row]), limits[ny + row]))
-    if parameters[HEAD.held] > 0.0:
-        hold(carry, control, view(parameters, int(parameters[HEAD.rest])), ny + n, nu, scratch)
     copy(scratch, carry, (ny + n) * LANES)
 
 
@@ -211,14 +201,3 @@ def correct(after, off, p, ny, nu, far):
         for i in range(ny):
             value = value + gain[row * ny + i] * load(off, i * LANES)
         store(after, row * LANES, min(max(value, -far), far))
-
-
-def hold(carry, control, p, rows, nu, after):
-    """Return the lanes at rest under neutral control to rest; p: bands, rest values (rows each), the control."""
-    moves = splat(0.0)
-    for row in range(nu):
-        moves = moves + abs(load(control, row * LANES) - p[2 * rows + row])
-    for row in range(rows):
-        moves = where_at_most(abs(load(carry, row * LANES) - p[rows + row]), p[row], moves, 1.0)
-    for row in range(rows):
-        store(after, row * LANES, where_at_most(moves, 0.0, p[rows + row], load(after, row * LANES)))

@@ -45,7 +45,6 @@ class LinearStateSpace(StateSpaceModel):
     iterations: int = 30
     horizon: int = 1000
     folds: int = 2
-    dead_band: bool = False
     max_steps: int | None = 30_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:

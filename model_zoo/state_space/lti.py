@@ -57,7 +57,6 @@ class LtiSystem(StateSpaceModel):
     operating_point: Literal["zero", "mean"] = "zero"
     operating_states: list[float] | None = None
     operating_controls: list[float] | None = None
-    dead_band: bool = False
     max_steps: int | None = 100_000
 
     def check_system(self, system: System) -> None:

@@ -1,4 +1,4 @@
-"""The base class of state-space families: an observer in the carry, the step, rest."""
+"""The base class of state-space families: an observer in the carry, the step."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from model_zoo.state_space.kernel import state_space_kernel
 from model_zoo.state_space.recordings import Scales
 from model_zoo.state_space.shooting import DIVERGED_DISTANCE, StateSpaceBatch
 from model_zoo.state_space.units import UNITS, values
-from sysid_evo.carry import REST_BAND
 from sysid_evo.errors import ShapeError
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models import DynamicsModel
@@ -122,19 +121,13 @@ class StateSpaceModel(DynamicsModel):
         after = hidden @ self.output_.T + self.offset_
         if system.limited:
             after = np.clip(after, *system.limits)
-        following = np.concatenate([after, hidden], axis=1)
-        if not self.dead_band:
-            return following
-        rest, band = self._rest
-        at_rest = (np.abs(carry - rest) <= band).all(axis=1) & (control == system.neutral_control).all(axis=1)
-        return np.where(at_rest[:, None], rest, following)
+        return np.concatenate([after, hidden], axis=1)
 
     def kernel(self) -> DynamicsKernel | None:
         return self._observing_kernel
 
     @functools.cached_property
     def _observing_kernel(self) -> DynamicsKernel:
-        rest, band = self._rest
         return state_space_kernel(
             self.system,
             self.outer_,
@@ -145,17 +138,6 @@ class StateSpaceModel(DynamicsModel):
             gain=self.gain_,
             far=DIVERGED_DISTANCE,
             flow=self.flows,
-            rest=np.concatenate([band, rest, self.system.neutral_control]) if self.dead_band else None,
-        )
-
-    @property
-    def _rest(self) -> tuple[Array, Array]:
-        """The carry (n_carry,) at rest, and the distances that count as rest."""
-        band = self.dead_band_size
-        outer = np.zeros(self.system.nx) if band is None else band
-        return (
-            np.concatenate([self.system.neutral_state, self.rest_]),
-            np.concatenate([outer, np.full(len(self.rest_), 2.0 * REST_BAND)]),
         )
 
     def _corrected(self, hidden: Array, control: Array, correction: Array) -> Array:

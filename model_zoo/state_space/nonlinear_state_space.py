@@ -61,7 +61,6 @@ class NetworkStateSpace(StateSpaceModel):
     iterations: int = 60
     horizon: int = 1000
     gated: bool = True
-    dead_band: bool = False
     max_steps: int | None = 30_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
@@ -162,9 +161,7 @@ class NetworkStateSpace(StateSpaceModel):
     def _gate(self, dataset: Dataset, rng: np.random.Generator) -> None:
         """Become a linear state space unless networks simulate held-out blocks of time at least a tenth better."""
         seed = int(rng.integers(2**63))
-        plain = LinearStateSpace(
-            folds=1, order=self.order, iterations=self.iterations, horizon=self.horizon, dead_band=self.dead_band
-        )
+        plain = LinearStateSpace(folds=1, order=self.order, iterations=self.iterations, horizon=self.horizon)
         networks, errors = self.variant(gated=False), [0.0, 0.0]
         for learned, held in (time_fold(dataset, fold, FOLDS) for fold in range(FOLDS)):
             for i, model in enumerate((networks, plain)):

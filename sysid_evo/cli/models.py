@@ -47,8 +47,7 @@ def show_model(
 
 COMMON = (
     "Common parameters: stochastic adds calibrated noise; state_lags and control_lags are the numbers of "
-    "earlier samples among the inputs (None: chosen in the fit); dead_band keeps a model at rest under neutral "
-    "controls; max_steps limits the steps used in a fit."
+    "earlier samples among the inputs (None: chosen in the fit); max_steps limits the steps used in a fit."
 )
 SPEED_ROLLOUTS = 640
 SPEED_STEPS = 100

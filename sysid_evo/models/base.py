@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, cast, dataclass_transform
 import numpy as np
 import numpy.typing as npt
 
-from sysid_evo.carry import CarryLayout, dead_band_size, hold_at_rest
+from sysid_evo.carry import CarryLayout
 from sysid_evo.data.dataset import Dataset, as_dataset, from_samples, subsample
 from sysid_evo.data.support import recorded_pairs
 from sysid_evo.data.trajectory import Trajectory
@@ -74,8 +74,6 @@ class DynamicsModel(Dynamics, ParameterAccess):
 
     - ``state_lags``, ``control_lags``: the carry holds the state, that many earlier states and that many earlier
       controls, newest first. None lets `fit` choose; it records ``state_lags_`` or ``control_lags_``.
-    - ``dead_band``: a state within 0.5 % of the training range around neutral stays neutral as long as the control,
-      and the earlier controls in the carry, are neutral.
     - ``max_steps``: `fit` gets at most this many steps. Longer data are reduced to blocks of time at random places
       (`sysid_evo.data.dataset`); a `DataWarning` and `fit_note` report it.
 
@@ -130,7 +128,6 @@ class DynamicsModel(Dynamics, ParameterAccess):
     precision: ClassVar[Precision] = "float32"
     state_lags: int | None = 0
     control_lags: int | None = 0
-    dead_band: bool = False
     max_steps: int | None = None
     kept_steps_: list[int]
     fit_seconds: float | None = None
@@ -255,7 +252,7 @@ class DynamicsModel(Dynamics, ParameterAccess):
         return {
             "state_lags_": lags,
             "control_lags_": lags,
-            "state_bounds_": Numbers(2, nx, infinite=True, rising=True, optional=not self.dead_band),
+            "state_bounds_": Numbers(2, nx, infinite=True, rising=True, optional=True),
             "training_sample_": Numbers("pairs", nx + self.system.nu, optional=True),
             "held_out_error_": Numbers(nx, infinite=True, optional=True),
         }
@@ -370,11 +367,9 @@ class DynamicsModel(Dynamics, ParameterAccess):
         return None if predictor is None else self.stepping(predictor)
 
     def stepping(self, predictor: Predictor, noise: StepNoise | None = None) -> DynamicsKernel | None:
-        """Return the compiled form of `step`: ``predictor`` with motion, noise, lags, dead band; None without one."""
+        """Return the compiled form of `step`: ``predictor`` with motion, noise and lags; None without one."""
         output: Output = "acceleration" if type(self).next_state is DynamicsModel.next_state else "next_state"
-        kernel = stepping_kernel(
-            predictor, self.system, output=output, lags=self.lags, dead_band_size=self.dead_band_size, noise=noise
-        )
+        kernel = stepping_kernel(predictor, self.system, output=output, lags=self.lags, noise=noise)
         return None if kernel is None else replace(kernel, precision=self.precision)
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
@@ -386,7 +381,7 @@ class DynamicsModel(Dynamics, ParameterAccess):
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         after = of_each_row(self, "next_state", carry, self.next_state(carry, control))
-        return self.shift_lags(carry, control, self.apply_limits(carry, control, after))
+        return self.shift_lags(carry, control, self.apply_limits(after))
 
     def shift_lags(self, carry: Array, control: Array, after: Array) -> Array:
         """Return the lagged carry whose newest state is ``after``: states and controls move one place back.
@@ -396,19 +391,9 @@ class DynamicsModel(Dynamics, ParameterAccess):
         parts = self.layout.shifted_parts(carry, control, after)
         return np.concatenate(parts, axis=-1) if len(parts) > 1 else after
 
-    @property
-    def dead_band_size(self) -> Array | None:
-        """Half width (nx,) of the band around neutral that counts as rest; None without ``dead_band``."""
-        return dead_band_size(self.system, self.state_bounds_, self.bounds_multiple) if self.dead_band else None
-
-    def apply_limits(self, carry: Array, control: Array, after: Array) -> Array:
-        """Return ``after`` (B, nx) within the limits of the channels; with ``dead_band``, `hold_at_rest`."""
-        band = self.dead_band_size
-        if self.system.limited:
-            after = np.clip(after, *self.system.limits)
-        if band is None:
-            return after
-        return hold_at_rest(self.system, self.layout.earlier_controls, band, carry, control, after)
+    def apply_limits(self, after: Array) -> Array:
+        """Return ``after`` (B, nx) within the limits of the channels."""
+        return np.clip(after, *self.system.limits) if self.system.limited else after
 
     def next_state(self, carry: Array, control: Array) -> Array:
         """Return the next state (B, nx); by default the integral of `acceleration`."""

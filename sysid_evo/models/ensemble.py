@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from sysid_evo.carry import hold_at_rest, recent
+from sysid_evo.carry import recent
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.kernels import DynamicsKernel
@@ -77,11 +77,8 @@ class MeanModel(StochasticModel):
 
     The next state is the weighted mean of theirs. The carry is the state, then the members' carries, each of which
     begins with the same state. With ``stochastic``, members draw no noise of their own, and the deviation of a step is
-    the root of the members' variance plus the squared held-out one-step error. A ``dead_band`` applies to the mean, not
-    to the members, and only if no member has an earlier control that may still act.
+    the root of the members' variance plus the squared held-out one-step error.
     """
-
-    dead_band: bool = False
 
     def become(self, models: Sequence[DynamicsModel], weights: Array) -> None:
         """Make this model the mean of fitted ``models`` with ``weights`` (M,)."""
@@ -155,22 +152,8 @@ class MeanModel(StochasticModel):
         if disturbance is not None:
             variance = (weights * (predicted - after) ** 2).sum(axis=0)
             after = after + np.sqrt(variance + self.residual_**2) * disturbance
-        after = self.apply_limits(carry, control, after)
+        after = self.apply_limits(after)
         return np.concatenate([after, together.joined(after, rests)], axis=1)
-
-    def apply_limits(self, carry: Array, control: Array, after: Array) -> Array:
-        system, band = self.system, self.dead_band_size
-        after = np.clip(after, *system.limits) if system.limited else after
-        return after if band is None else hold_at_rest(system, self._earlier_controls, band, carry, control, after)
-
-    @property
-    def _earlier_controls(self) -> list[int]:
-        """The indices of earlier controls in the carry."""
-        rows: list[int] = []
-        for model, place in zip(self.members_, self._together.places, strict=True):
-            earlier = range(model.layout.size)[model.layout.earlier_controls]
-            rows += [self.system.nx + place + row for row in earlier]
-        return rows
 
     def kernel(self) -> DynamicsKernel | None:
         return self._compiled
@@ -186,8 +169,6 @@ class MeanModel(StochasticModel):
             places=[self.system.nx + place for place in self._together.places],
             noise_places=self._together.noise_places,
             weights=self.weights_,
-            dead_band_size=self.dead_band_size,
-            watched=self._earlier_controls,
         )
 
     def without_noise(self) -> Self:

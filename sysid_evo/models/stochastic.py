@@ -142,7 +142,7 @@ class StochasticModel(DynamicsModel):
     def disturbed(self, carry: Array, control: Array, disturbance: Array) -> Array:
         """Return the next lagged carry, with ``disturbance`` (B, nx), in deviations, added to the state."""
         after, deviation = self.with_deviation(carry, control)
-        after = self.apply_limits(carry, control, after + deviation * disturbance)
+        after = self.apply_limits(after + deviation * disturbance)
         return self.shift_lags(carry, control, after)
 
     def calibrate(

@@ -64,10 +64,9 @@ def learned(family):
 @pytest.mark.parametrize("recording", ["car_data", pytest.param("throttle_car_data", marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("family", at_night(("adapted",)))  # by day tests/contract/model_zoo/test_adapted.py
 def test_every_family_keeps_every_rule_of_the_contract_on_a_car(family, recording, request):
-    """Where a family can hold a body at rest, it does so on the car with switches."""
     dataset = request.getfixturevalue(recording)
     dataset = dataset[[0]] if family in SLOW else dataset
-    results = list(MODEL.run(family, dataset, **SMALL.get(family, {}), dead_band=recording == "car_data"))
+    results = list(MODEL.run(family, dataset, **SMALL.get(family, {})))
     assert not broken(results)
     assert len(results) == 1 + len(MODEL.checks)
 
@@ -123,7 +122,7 @@ def test_a_car_without_controls_is_refused_in_a_sentence(family):
     ],
 )
 def test_lags_asked_for_keep_the_contract(family, options, throttle_car_data):
-    assert not broken(MODEL.run(family, throttle_car_data, dead_band=True, **options))
+    assert not broken(MODEL.run(family, throttle_car_data, **options))
     assert make_model(family, **options).lags == (options.get("state_lags", 0), options["control_lags"])
 
 
@@ -185,14 +184,6 @@ def test_a_fit_that_takes_long_tells_often_how_far_it_is(family):
     assert told == sorted(told)
 
 
-@pytest.mark.parametrize("family", ["k_neighbours", "narx", "sindy", "sindy_discrete", "neural_ode"])
-def test_a_control_moves_a_body_that_is_held_at_rest(family):
-    model = learned(family)[0].variant(dead_band=True)
-    rest = model.start(np.zeros((1, model.n_lags + 1, 3)), np.zeros((1, model.n_lags, 2)))
-    assert np.array_equal(model.step(rest, np.zeros((1, 2)))[:, :3], np.zeros((1, 3)))
-    assert not np.array_equal(model.step(rest, np.ones((1, 2)))[:, :3], np.zeros((1, 3)))
-
-
 @pytest.mark.parametrize("family", ["backprop27", "evolved3", "nearest_neighbour", "parametrised"])
 def test_a_family_of_the_paper_beats_persistence_at_one_second(family):
     train, held = example_dataset(episodes=4, steps=500).split(["episode-2"])
@@ -211,10 +202,6 @@ def test_only_families_that_take_little_time_for_a_million_steps_learn_from_all_
     """`linear` 3 s, `nearest_neighbour` 2 s, `parametrised` 16 s and `evolved3` 40 s."""
     everything = {name for name in models.names() if "max_steps" not in make_model(name).get_params()}
     assert everything == {"linear", "nearest_neighbour", "parametrised", "evolved3", "adapted"}
-
-
-def test_every_family_can_hold_a_body_at_rest():
-    assert not [name for name in models.names() if "dead_band" not in make_model(name).get_params()]
 
 
 def test_every_optional_package_that_a_family_imports_is_among_those_it_requires():

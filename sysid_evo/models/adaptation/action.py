@@ -68,14 +68,11 @@ def action_corrections(
     windows: AdaptationWindows,
     ridges: Sequence[float],
     seconds: float,
-    *,
-    offset: bool = True,
 ) -> Iterator[ActionCorrection]:
     """Yield the correction of the action for each of ``ridges``, which begin with the strongest.
 
     It minimises the same loss as `sysid_evo.models.adaptation.correction.corrections`; the ridge penalises the squares
-    of gain - 1 and of the offset in standard deviations of the control. ``terms`` are those of the recording. Without
-    ``offset`` the neutral control is not changed.
+    of gain - 1 and of the offset in standard deviations of the control. ``terms`` are those of the recording.
     """
     nu = model.system.nu
     none = np.zeros((1, *terms.shape))
@@ -93,8 +90,6 @@ def action_corrections(
         for _ in range(ROUNDS):
             here, *others = errors_of(np.concatenate([found[None], found + STEP * unit])).reshape(1 + 2 * nu, -1)
             slopes = (np.stack(others) - here) / STEP
-            if not offset:
-                slopes[nu:] = 0.0
             found, moved = damped_step(found, here, slopes, errors_of, np.full(found.shape, ridge), seconds)
             if not moved:
                 break

@@ -55,7 +55,6 @@ class Adapted(DynamicsModel):
     periodic = True
 
     base: str | None = "linear"
-    dead_band: bool = False
 
     def given(self, base: DynamicsModel, training: Dataset | None = None) -> Self:
         """Return this model with the ``base`` for `fit` to adapt and, for a refit, its ``training`` data."""
@@ -81,8 +80,8 @@ class Adapted(DynamicsModel):
                 "adapt(dataset) of a fitted model"
             )
         dataset = as_of(self.base_.system, dataset)
-        found = adaptation(self.inner, dataset, training=training, rng=rng, progress=progress)
-        if found.learned.model is not self.inner:
+        found = adaptation(self.base_, dataset, training=training, rng=rng, progress=progress)
+        if found.learned.model is not self.base_:
             self.base_ = found.learned.model
         self._hold(found.learned)
         self.decision_, self.chosen_ = found.decision.sentence, found.decision.chosen
@@ -134,13 +133,6 @@ class Adapted(DynamicsModel):
         self.training_sample_ = pairs[evenly_spaced(len(pairs), KEPT_PAIRS, nearest=True)]
 
     @functools.cached_property
-    def inner(self) -> DynamicsModel:
-        """The base, with the dead band of this model."""
-        base: DynamicsModel = self.base_
-        wanted = self.dead_band and not base.dead_band and "dead_band" in base.get_params()
-        return base.variant(dead_band=True) if wanted else base
-
-    @functools.cached_property
     def terms(self) -> CorrectionTerms:
         """The regressors of the correction."""
         arrays = [getattr(self, f"{field.name}_") for field in fields(CorrectionTerms) if field.name != "system"]
@@ -170,38 +162,34 @@ class Adapted(DynamicsModel):
 
     @property
     def lags(self) -> tuple[int, int]:
-        return self.inner.lags if hasattr(self, "base_") else (0, 0)
+        return self.base_.lags if hasattr(self, "base_") else (0, 0)
 
     @property
     def n_lags(self) -> int:
-        return self.inner.n_lags if hasattr(self, "base_") else 0
+        return self.base_.n_lags if hasattr(self, "base_") else 0
 
     @property
     def n_carry(self) -> int:
-        return self.inner.n_carry
+        return self.base_.n_carry
 
     @property
     def n_noise(self) -> int:
-        return self.inner.n_noise if hasattr(self, "base_") else 0
+        return self.base_.n_noise if hasattr(self, "base_") else 0
 
     @property
     def n_draws(self) -> int:
-        return self.inner.n_draws if hasattr(self, "base_") else 0
+        return self.base_.n_draws if hasattr(self, "base_") else 0
 
     @property
     def n_recent(self) -> int:
-        return self.inner.n_recent if hasattr(self, "base_") else 0
-
-    @property
-    def dead_band_size(self) -> Array | None:
-        return self.inner.dead_band_size
+        return self.base_.n_recent if hasattr(self, "base_") else 0
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
-        return self.inner.start(states, self.action(controls), draws)
+        return self.base_.start(states, self.action(controls), draws)
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         control = self.action(control)
-        after = self.inner.step(carry, control, noise)
+        after = self.base_.step(carry, control, noise)
         return self.terms.next_carry(carry, control, after, self.coefficients_) if self.corrects else after
 
     def kernel(self) -> DynamicsKernel | None:
@@ -209,7 +197,7 @@ class Adapted(DynamicsModel):
 
     @functools.cached_property
     def _corrected_kernel(self) -> DynamicsKernel | None:
-        kernel = self.inner.kernel()
+        kernel = self.base_.kernel()
         if kernel is not None and self.corrects:
             kernel = correction_kernel(kernel, self.system, self.terms.arrays, self.coefficients_)
         return action_kernel(kernel, self.gain_, self.offset_) if kernel and self.action.changes else kernel

@@ -253,9 +253,8 @@ def _corrections(
     """Yield the correction of this ``kind`` for each of ``ridges``, with regressors scaled to ``dataset``."""
     found = _uncorrected(model, dataset)
     if kind in (ACTION, BOTH):
-        free = model.dead_band_size is None  # an offset would move a body at rest
         own_ridges = ridges if kind == ACTION else ACTION_RIDGES
-        for action in action_corrections(model, found.terms, windows, own_ridges, seconds, offset=free):
+        for action in action_corrections(model, found.terms, windows, own_ridges, seconds):
             found = replace(found, action=action)
             if kind == ACTION:
                 yield found

@@ -19,13 +19,12 @@ from sysid_evo.kernels import (
     splat,
     store,
     view,
-    where_at_most,
 )
 from sysid_evo.models.kernels.stepping import copy
 from sysid_evo.system import System
 from sysid_evo.types import Array, check_shape
 
-MEAN = Layout("nx", "nu", "count", "watched", "held", "rest", "chain", align=CACHE_LINE)
+MEAN = Layout("nx", "count", "chain", align=CACHE_LINE)
 
 
 def mean_kernel(
@@ -35,64 +34,29 @@ def mean_kernel(
     places: Sequence[int],
     noise_places: Sequence[int],
     weights: Array,
-    dead_band_size: Array | None = None,
-    watched: Sequence[int] = (),
 ) -> DynamicsKernel:
     """Return the kernel of a weighted mean of next states, which becomes the state of every member.
 
-    The carry is the state and the members' carries at ``places``. With ``dead_band_size`` (nx,) a state within this
-    band around neutral becomes neutral under neutral control, if the earlier controls, in the ``watched`` rows of the
-    carry, are neutral too.
+    The carry is the state and the members' carries at ``places``.
     """
-    nx, chain = system.nx, chained(members, system.nx, places, noise_places)
-    rest, rows = np.empty(0), watched if dead_band_size is not None else ()
-    if dead_band_size is not None:
-        idle = system.neutral_control
-        rest = np.concatenate([dead_band_size, system.neutral_state, idle, rows, np.resize(idle, len(rows))])
+    chain = chained(members, system.nx, places, noise_places)
     weights = check_shape("weights", weights, (len(members),))
-    numbers, at_rest = padded(np.concatenate([weights, places])), padded(rest)
-    parameters = MEAN.pack(
-        numbers,
-        at_rest,
-        chain.parameters,
-        nx=nx,
-        nu=system.nu,
-        count=len(members),
-        watched=len(rows),
-        held=dead_band_size is not None,
-        rest=MEAN.size + len(numbers),
-        chain=MEAN.size + len(numbers) + len(at_rest),
-    )
+    numbers = padded(np.concatenate([weights, places]))
+    parameters = MEAN.pack(numbers, chain.parameters, nx=system.nx, count=len(members), chain=MEAN.size + len(numbers))
     source = KernelSource(averaged, {"step_all": chain.source})
-    return DynamicsKernel(source, parameters, chain.n_scratch + 1, chain.precision)
+    return DynamicsKernel(source, parameters, chain.n_scratch, chain.precision)
 
 
 def averaged(carry, control, noise, parameters, scratch):
-    """Step all members and set their states to the mean, or to neutral in the dead band."""
-    nx, nu, count = int(parameters[MEAN.nx]), int(parameters[MEAN.nu]), int(parameters[MEAN.count])
+    """Step all members and set their states to the mean."""
+    nx, count = int(parameters[MEAN.nx]), int(parameters[MEAN.count])
     weights, places = view(parameters, MEAN.size), view(parameters, MEAN.size + count)
-    rest, held = view(parameters, int(parameters[MEAN.rest])), parameters[MEAN.held]
-    if held > 0.0:
-        neutral, idle, watched = view(rest, nx), view(rest, 2 * nx), int(parameters[MEAN.watched])
-        rows, values = view(rest, 2 * nx + nu), view(rest, 2 * nx + nu + watched)
-        moves = splat(0.0)
-        for row in range(nu):
-            moves = moves + abs(load(control, row * LANES) - idle[row])
-        for i in range(watched):
-            moves = moves + abs(load(carry, int(rows[i]) * LANES) - values[i])
-        for row in range(nx):
-            moves = where_at_most(abs(load(carry, row * LANES) - neutral[row]), rest[row], moves, 1.0)
-        store(scratch, 0, moves)
-    step_all(carry, control, noise, view(parameters, int(parameters[MEAN.chain])), view(scratch, LANES))
+    step_all(carry, control, noise, view(parameters, int(parameters[MEAN.chain])), scratch)
     for row in range(nx):
         total = splat(0.0)
         for member in range(count):
             total = total + weights[member] * load(carry, (int(places[member]) + row) * LANES)
         store(carry, row * LANES, total)
-    if held > 0.0:
-        for row in range(nx):
-            mean = load(carry, row * LANES)
-            store(carry, row * LANES, where_at_most(load(scratch, 0), 0.0, rest[nx + row], mean))
     for member in range(count):
         copy(carry, view(carry, int(places[member]) * LANES), nx * LANES)
 

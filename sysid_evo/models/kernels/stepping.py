@@ -21,12 +21,11 @@ from sysid_evo.kernels import (
     splat,
     store,
     view,
-    where_at_most,
     where_less,
 )
 from sysid_evo.motion_kernels import move_nothing, turn_nothing
 from sysid_evo.system import System
-from sysid_evo.types import Array, check_shape
+from sysid_evo.types import Array
 
 Output: TypeAlias = Literal["next_state", "acceleration"]
 
@@ -36,11 +35,9 @@ STEP = Layout(
     "state_lags",
     "control_lags",
     "dt",
-    "held",
     "limited",
     "frame",
     "noise",
-    "rest",
     "limits",
     "own",
     align=CACHE_LINE,
@@ -75,7 +72,6 @@ def stepping_kernel(
     *,
     output: Literal["next_state"],
     lags: tuple[int, int] = (0, 0),
-    dead_band_size: Array | None = None,
     noise: StepNoise | None = None,
 ) -> DynamicsKernel: ...
 @overload
@@ -85,7 +81,6 @@ def stepping_kernel(
     *,
     output: Output,
     lags: tuple[int, int] = (0, 0),
-    dead_band_size: Array | None = None,
     noise: StepNoise | None = None,
 ) -> DynamicsKernel | None: ...
 def stepping_kernel(
@@ -94,29 +89,22 @@ def stepping_kernel(
     *,
     output: Output,
     lags: tuple[int, int] = (0, 0),
-    dead_band_size: Array | None = None,
     noise: StepNoise | None = None,
 ) -> DynamicsKernel | None:
     """Return the kernel of a model whose predictor returns the next state or an acceleration.
 
     None if an acceleration must be integrated and the system's motion has no compiled form.
-    The carry is that of `DynamicsModel`: state, earlier states, earlier controls (``lags``). With
-    ``dead_band_size`` (nx,), a state within this band around neutral becomes neutral if the control and the earlier
-    controls in the carry are neutral. ``noise`` is added to the prediction. States are clipped to the limits of their
-    channels.
+    The carry is that of `DynamicsModel`: state, earlier states, earlier controls (``lags``).
+    ``noise`` is added to the prediction. States are clipped to the limits of their channels.
     """
     motion = REACHED if output == "next_state" else system.motion_kernel()
     if motion is None:
         return None
     nx, nu = system.nx, system.nu
     predictor.check(nx * (1 + lags[0]) + nu * lags[1], nu, nx)
-    rest = np.empty(0)
-    if dead_band_size is not None:
-        dead_band_size = check_shape("dead_band_size", dead_band_size, (nx,))
-        rest = np.concatenate([dead_band_size, system.neutral_state, system.neutral_control])
     limits = np.ravel(system.limits) if system.limited else np.empty(0)
     spread = np.empty(0) if noise is None else noise.parameters
-    parts = [padded(motion.parameters), padded(spread), padded(rest), padded(limits)]
+    parts = [padded(motion.parameters), padded(spread), padded(limits)]
     places = np.cumsum([STEP.size, *(len(part) for part in parts)])
     parameters = STEP.pack(
         *parts,
@@ -126,13 +114,11 @@ def stepping_kernel(
         state_lags=lags[0],
         control_lags=lags[1],
         dt=system.dt,
-        held=dead_band_size is not None,
         limited=system.limited,
         frame=places[0],
         noise=places[1],
-        rest=places[2],
-        limits=places[3],
-        own=places[4],
+        limits=places[2],
+        own=places[3],
     )
     disturb = no_noise if noise is None else add_noise
     bindings = {**predictor.bindings, "integrate": motion.integrate, "disturb": disturb}
@@ -155,8 +141,6 @@ def step(carry, control, noise, parameters, scratch):
         for row in range(nx):
             there = load(scratch, row * LANES)
             store(scratch, row * LANES, min(max(there, limits[row]), limits[nx + row]))
-    if parameters[STEP.held] > 0.0:
-        hold(carry, control, past, control_lags, view(parameters, int(parameters[STEP.rest])), nx, nu, scratch)
     for back in range(state_lags, 0, -1):
         copy(view(carry, (back - 1) * rows), view(carry, back * rows), rows)
     for back in range(control_lags - 1, 0, -1):
@@ -197,21 +181,6 @@ def add_noise(held, noise, after, nx, p):
         moved = white * load(noise, row * LANES) + lasting * load(held, row * LANES)
         store(after, row * LANES, load(after, row * LANES) + factor * (1.0 + growth * share * share) * moved)
     store(held, nx * LANES, count + 1.0)
-
-
-def hold(carry, control, past, control_lags, p, nx, nu, after):
-    """Set lanes in the dead band under neutral control to neutral; p: band, neutral state, neutral control."""
-    moves = splat(0.0)
-    for row in range(nu):
-        moves = moves + abs(load(control, row * LANES) - p[2 * nx + row])
-    for lag in range(control_lags):
-        for row in range(nu):
-            moves = moves + abs(load(past, (lag * nu + row) * LANES) - p[2 * nx + row])
-    for row in range(nx):
-        off = abs(load(carry, row * LANES) - p[nx + row])
-        moves = where_at_most(off, p[row], moves, 1.0)
-    for row in range(nx):
-        store(after, row * LANES, where_at_most(moves, 0.0, p[nx + row], load(after, row * LANES)))
 
 
 def copy(source, target, count):

@@ -23,7 +23,7 @@ from sysid_evo.registry import models
 from tests.fixtures.families import SMALL
 
 MODELS = {
-    "linear, lags": ("linear", {"state_lags": 1, "control_lags": 2, "dead_band": True}),
+    "linear, lags": ("linear", {"state_lags": 1, "control_lags": 2}),
     "linear, stochastic": ("linear", {"stochastic": True}),
     "average": ("average", {"families": ["linear(state_lags=1)", "linear(control_lags=1)"]}),
     "adapted": ("adapted", {"base": "linear"}),

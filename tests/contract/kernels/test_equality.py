@@ -37,13 +37,13 @@ STATE_SPACE = {"members": 2, "order": 3, "screening_iterations": 3, "iterations"
 FAMILIES = {
     **{name: {} for name in models.names() if name not in ("adapted", "auto")},
     "linear": {"ridge": 200.0},
-    "linear with lags": {"state_lags": 2, "control_lags": 1, "dead_band": True},
+    "linear with lags": {"state_lags": 2, "control_lags": 1},
     "nearest_neighbour": {"control_lags": 1},
     "k_neighbours": {"neighbours": 8, "state_lags": 0, "control_lags": 1},
     "narx": {"terms": 6, "state_lags": 0, "control_lags": 1},
     "sindy": {"degree": 2, "state_lags": 0, "control_lags": 0},
     "sindy_discrete": {"degree": 2, "state_lags": 0, "control_lags": 1},
-    "parametrised": {"generations": 5, "control_lags": 1, "dead_band": True},
+    "parametrised": {"generations": 5, "control_lags": 1},
     "backprop27": {"epochs": 20},
     "evolved3": {"generations": 5},
     "mlp_ensemble": {**NETWORK, "members": 2},
@@ -521,10 +521,8 @@ SMALL_BUDGETS = {row: options for row, options in FAMILIES.items() if row in mod
 def test_a_family_keeps_the_contract_compiled_in_both_precisions(family, recording, oscillator_data):
     data = {"a car that rests": example_dataset(), "oscillator": oscillator_data}.get(recording)
     data = SMALL_SYSTEMS[recording].recording() if data is None else data
-    options, resting = dict(SMALL_BUDGETS.get(family, {})), recording == "a car that rests"
-    options |= {"dead_band": True} if resting and "dead_band" in make_model(family).get_params() else {}
     try:
-        results = list(MODEL.run(family, data, **options))
+        results = list(MODEL.run(family, data, **SMALL_BUDGETS.get(family, {})))
     except IncompatibleSystem:
         pytest.skip("a family of cars")
     assert not [f"{one.rule}: {one.failure}" for one in results if one.failure]

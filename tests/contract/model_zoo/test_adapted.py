@@ -93,15 +93,6 @@ def test_a_model_with_a_corrected_action_steps_equally_in_both_engines(base, wea
     np.testing.assert_array_equal(both.step(carry, control), expected)
 
 
-def test_an_action_correction_of_a_model_with_a_dead_band_has_no_offset(training, monkeypatch):
-    monkeypatch.setattr(selection, "KINDS", ("action",))
-    new = commanded(drive(FloorCar(), seconds=10.0, seed=3))
-    for dead_band in (False, True):
-        model = make_model("linear", dead_band=dead_band).fit(training, rng=0).adapt(new, rng=0)
-        assert model.chosen_.startswith("action, ridge")
-        assert np.any(model.offset_) != dead_band
-
-
 def test_action_and_acceleration_are_corrected_together(base):
     """A car whose motor acts less and that turns less: neither correction alone describes both."""
     found = base.adapt(commanded(drive(FloorCar(turn=2.0), seconds=12.0, seed=3)), rng=0)

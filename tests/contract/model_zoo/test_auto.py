@@ -71,7 +71,7 @@ def mean_of(*specs, **settings):
 
 def test_the_mean_of_next_states_is_the_mean_of_accelerations():
     """Members with lags of their own and without any step from the same state, step after step."""
-    mean = mean_of("linear(state_lags=1, control_lags=2)", "linear(ridge=300.0)", "linear", dead_band=True)
+    mean = mean_of("linear(state_lags=1, control_lags=2)", "linear(ridge=300.0)", "linear")
     data = example_dataset(seed=5)
     system, windows = data.system, data.windows(6, stride=25, history=mean.n_lags)
     carry = mean.start(windows.past_states, windows.past_controls)

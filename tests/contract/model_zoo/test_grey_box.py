@@ -111,7 +111,7 @@ def test_an_unmeasured_pressure_is_estimated_with_its_parameters_and_from_a_hist
 @pytest.mark.parametrize(
     ("family", "options", "dataset"),
     [
-        ("grey_pendulum", {"actuator_lag": True, "command_delay": True, "substeps": 2, "dead_band": True}, pendulum),
+        ("grey_pendulum", {"actuator_lag": True, "command_delay": True, "substeps": 2}, pendulum),
         ("grey_cylinder", {"residual": True, "residual_points": 12}, cylinder),
     ],
 )

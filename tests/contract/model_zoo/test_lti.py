@@ -113,7 +113,7 @@ def test_the_operating_point_is_zero_the_mean_or_given(whole):
 
 @pytest.mark.parametrize("thing", [WHOLE, SEEN])
 def test_a_linear_system_keeps_the_contract(thing, whole, output):
-    results = list(MODEL.run("lti", whole if thing is WHOLE else output, model=as_model(thing).model, dead_band=True))
+    results = list(MODEL.run("lti", whole if thing is WHOLE else output, model=as_model(thing).model))
     assert not [f"{one.rule}: {one.failure}" for one in results if one.failure]
 
 

@@ -266,13 +266,6 @@ def test_samples_repeated_before_the_first_are_no_history(linear):
     np.testing.assert_allclose(carry, np.concatenate([run.states[few : few + 1], hidden], axis=1))
 
 
-def test_rest_is_left_by_a_control_and_kept_without(linear):
-    held = linear.variant(dead_band=True)
-    rest = held.start(np.zeros((1, held.n_lags + 1, 1)), np.zeros((1, held.n_lags, 1)))
-    for control, moves in ((0.0, False), (1.0, True)):
-        assert np.array_equal(held.step(rest, np.array([[control]])), rest) != moves
-
-
 def test_each_member_of_a_mean_starts_as_it_would_alone():
     """If all were corrected by the error of their mean, members with opposite errors would keep them."""
     data, model = one_output(0, noise=0.02), make_model("linear_state_space", order=2).fit(one_output(0), rng=0)

@@ -69,7 +69,7 @@ def test_the_output_is_a_rate_a_change_or_the_next_state(returns, swinging):
     "module", [Physics(), torch.nn.Sequential(torch.nn.Linear(3, 4), torch.nn.GELU(), torch.nn.Linear(4, 2))]
 )
 def test_modules_keep_the_contract(module, swinging):
-    results = list(MODEL.run("torch_module", swinging, module=keep_object(module), dead_band=True, **SHORT))
+    results = list(MODEL.run("torch_module", swinging, module=keep_object(module), **SHORT))
     assert not [f"{one.rule}: {one.failure}" for one in results if one.failure]
 
 

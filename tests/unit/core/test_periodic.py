@@ -83,14 +83,6 @@ def test_a_simulation_turns_over_and_is_never_clipped():
     np.testing.assert_allclose(run[0, :, 0], 3.0 + 0.15 * np.arange(1, 401), atol=1e-9)
 
 
-def test_rest_of_a_periodic_state_is_a_share_of_its_period():
-    model = Spinning()
-    model.dead_band = True
-    model.fit(Dataset.from_arrays(SWING, [spin(20)], [np.zeros((20, 1))]), rng=np.random.default_rng(0))
-    assert model.dead_band_size is not None
-    assert model.dead_band_size[0] == pytest.approx(0.005 * TURN)
-
-
 def test_regressors_are_the_same_after_a_whole_turn():
     states = np.array([[0.3, 2.0], [0.3 + TURN, 2.0], [np.pi / 2, 0.0]])
     found = SWING.regressors(states)

@@ -175,10 +175,8 @@ def test_an_unknown_name_is_answered_with_the_nearest_known_one():
 def test_an_old_name_of_a_thing_or_a_parameter_is_answered_with_the_new_one():
     with pytest.raises(UnknownName, match=r"no penalty is called 'doubt'\. It is called 'uncertainty' now\. Known: "):
         KINDS["penalty"].get("doubt")
-    with pytest.raises(
-        InvalidArgument, match=r"'linear' has no parameter 'rest_hold'\. It is called 'dead_band' now\."
-    ):
-        models.check("linear(rest_hold=true)")
+    with pytest.raises(InvalidArgument, match=r"'narx' has no parameter 'most_steps'\. It is called 'max_steps' now"):
+        models.check("narx(most_steps=9)")
 
 
 def test_a_plugin_file_registers_what_it_holds_once(write):

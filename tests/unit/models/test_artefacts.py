@@ -208,7 +208,6 @@ def test_a_pickle_in_disguise_is_never_unpickled(stored, tmp_path):
         (lambda m: m["tensors"].pop("intercept_"), r"safetensors: expected the tensors \{.*\}, got \{.*intercept_"),
         (lambda m: m.update(kind="controller"), "expected a stored model, got a controller"),
         (lambda m: m["parameters"].update(colour="red"), "not a stored linear: UnknownParameter: .*'colour'"),
-        (lambda m: m["parameters"].update(rest_hold=False), "no parameter 'rest_hold'. It is called 'dead_band' now"),
         (lambda m: m["system"].pop("dt"), "not a stored linear: KeyError: 'dt'"),
         (lambda m: m["system"].update(states=5), "not a stored linear: TypeError"),
         (lambda m: m["system"].update(dt=-1.0), "not a stored linear: InvalidSystem: system: expected dt > 0 s"),
