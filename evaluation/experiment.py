@@ -240,7 +240,7 @@ MEANINGLESS = (
 
 IN_ROUNDS: Mapping[str, Any] = {
     "models": (
-        "gaussian_process(state_lags=0, control_lags=0, inducing=120)",
+        "gaussian_process(state_lags=0, control_lags=0, inducing=200)",
         "mlp_ensemble(state_lags=0, control_lags=0, one_step_updates=3000, horizon=4)",
     ),
     "controller": "linear",

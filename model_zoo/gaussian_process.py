@@ -29,8 +29,8 @@ LINEAR_RIDGE = 1e-3
 TRIAL_INDUCING = 120
 """Largest number of inducing points while lags are chosen."""
 
-SUBSETS = 3
-"""Random parts of the data whose hyper-parameters are averaged: those of a single part vary too much."""
+SUBSETS, SUBSET_STEPS = 3, 300
+"""Random parts of the data whose hyper-parameters are averaged, and steps of each at least: others vary too much."""
 
 
 @register_model("gaussian_process")
@@ -38,12 +38,12 @@ class GaussianProcess(StochasticModel):
     """Sparse Gaussian process for the acceleration, added to a linear model that alone predicts far from the data.
 
     The linear part is fitted first, by ridge regression. The covariance is squared exponential with one length per
-    input of (carry, control). Lengths, amplitude and noise maximise the marginal likelihood on ``inducing`` random
-    steps; the geometric mean of three such fits is used. As many inducing points are chosen, half at random and half
-    where the variance given the others is largest. All data are then used by the deterministic training conditional
-    (Seeger 2003; Quinonero Candela, Rasmussen 2005, equation 20): mean k_* S K_uf y / s^2, variance k_** - k_* (K_uu^-1
-    - S) k_*^T + s^2 with S = (K_uu + K_uf K_fu / s^2)^-1. Periodic states enter as sine and cosine. Lags left at None
-    are chosen by the simulation error over one second on held-out blocks of time.
+    input of (carry, control). Lengths, amplitude and noise maximise the marginal likelihood on random steps, 300 or
+    ``inducing`` if these are more; the geometric mean of three such fits is used. The inducing points are chosen half
+    at random, half where the variance given the others is largest. All data are then used by the deterministic training
+    conditional (Seeger 2003; Quinonero Candela, Rasmussen 2005, equation 20): mean k_* S K_uf y / s^2, variance k_** -
+    k_* (K_uu^-1 - S) k_*^T + s^2 with S = (K_uu + K_uf K_fu / s^2)^-1. Periodic states enter as sine and cosine. Lags
+    left at None are chosen by the simulation error over one second on held-out blocks of time.
 
     With ``stochastic``, every step adds normal noise of that variance, scaled as in `StochasticModel` on held-out
     recordings (blocks of time of a single one).
@@ -149,7 +149,8 @@ class GaussianProcess(StochasticModel):
         inputs, targets = self._residuals(dataset)
         _, scale = ChannelScaling.of(dataset).of_inputs(self.layout)
         count, size = min(self.inducing, len(inputs)), positive(targets.std(axis=0))
-        subsets = [np.sort(rng.choice(len(inputs), size=count, replace=False)) for _ in range(SUBSETS)]
+        part = min(max(self.inducing, SUBSET_STEPS), len(inputs))
+        subsets = [np.sort(rng.choice(len(inputs), size=part, replace=False)) for _ in range(SUBSETS)]
         nx, n = targets.shape[1], inputs.shape[1]
         self.lengths_, self.amplitude_, self.noise_ = np.empty((nx, n)), np.empty(nx), np.empty(nx)
         for channel in range(nx):

@@ -104,3 +104,10 @@ def test_a_gaussian_process_knows_less_far_from_its_data(car_data):
     unknown = model.predicted(np.full((1, 3), 30.0), np.ones((1, 2)))[1][0]
     assert (unknown > 1.5 * known).any()
     assert (unknown >= known).all()
+
+
+def test_few_inducing_points_do_not_make_lengths_uncertain(car_data):
+    few, more = (
+        GaussianProcess(inducing=count, state_lags=0, control_lags=0).fit(car_data[[0]], rng=0) for count in (20, 60)
+    )
+    np.testing.assert_array_equal(few.lengths_, more.lengths_)
