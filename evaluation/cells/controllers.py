@@ -318,9 +318,9 @@ ControllerCell: TypeAlias = Cell[Evolve | Choose | Polish | Baseline | Controlle
 """A cell that gives a controller; the ``members`` of its settings are the plants it was evolved against."""
 
 CONTROLLERS = ResultType("controllers", lambda value, path, _: files_of(save_champion(value, path)), load_champion)
-CELL_KINDS["evolve"] = CellKind(CONTROLLERS, version=3)
+CELL_KINDS["evolve"] = CellKind(CONTROLLERS, version=4)
 CELL_KINDS["baseline"] = CellKind(CONTROLLERS)
-CELL_KINDS["select"] = CELL_KINDS["polish"] = CellKind(CONTROLLERS, version=3, tolerant=True)
+CELL_KINDS["select"] = CELL_KINDS["polish"] = CellKind(CONTROLLERS, version=4, tolerant=True)
 
 
 def labels_inside(spec: Spec, labels: Collection[str]) -> tuple[str, ...]:

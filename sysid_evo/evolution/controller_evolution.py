@@ -212,7 +212,7 @@ def evolve_controller(
         if continued:
             strategy.restore(ended[lineage(run, ended)[-2]].strategy)
         easier = [(stage, objective(run, start, stage_task, labels)) for stage, stage_task, labels in stages]
-        return strategy, Schedule(easier, objective(run, start, task, models), max_fitness=task.max_fitness)
+        return strategy, Schedule(easier, objective(run, start, task, models))
 
     def margins(start: int, candidates: Array, rows: IntArray) -> Array:
         delay = settings.estimator_delay

@@ -67,8 +67,9 @@ def evolve(
         yield Generation(index, population, scores.fitness, scores.by_model)
 
 
-MAX_SHARE, MAX_GENERATIONS = 0.5, 20
-"""A schedule has converged if this share of the candidates had the maximum fitness in this number of generations."""
+EQUAL_SHARE, EQUAL_GENERATIONS, SAME = 0.5, 20, 1e-4
+"""A schedule has converged if this share of the candidates had nearly the highest fitness in this number of
+generations: at most a share `SAME` less."""
 
 
 def _checked(task: Spec | str | None) -> Spec | None:
@@ -136,17 +137,17 @@ class Schedule:
     The caller passes every generation to `tell`, and makes the strategy forget old fitness when the next stage begins:
     ``if schedule.tell(generation): strategy.forget_fitness()``.
 
-    ``max_fitness`` is the highest possible fitness of the final objective. When many candidates have it for several
-    generations, selection no longer distinguishes candidates, and the schedule is `converged`.
+    When many candidates have nearly the highest fitness of the final objective for several generations, selection no
+    longer distinguishes candidates, and the schedule is `converged`. It is not while all candidates so far are equal: a
+    search may begin where nothing is gained.
     """
 
-    def __init__(
-        self, stages: Sequence[tuple[Stage, Objective]], final: Objective, *, max_fitness: float = np.inf
-    ) -> None:
+    def __init__(self, stages: Sequence[tuple[Stage, Objective]], final: Objective) -> None:
         self.stages = tuple(stage for stage, _ in stages)
         self.objectives = (*(objective for _, objective in stages), final)
-        self.stage, self.max_fitness = 0, max_fitness
+        self.stage = 0
         self._levels: list[float] = []
+        self._lowest, self._highest = np.inf, -np.inf
         self._saturated = 0
 
     def __call__(self, population: Array, generation: int) -> Scores | Array:
@@ -156,8 +157,11 @@ class Schedule:
     def tell(self, generation: Generation) -> bool:
         """Register a generation; return True if the next stage begins after it."""
         if self.stage == len(self.stages):
-            share = np.mean(generation.fitness >= self.max_fitness)
-            self._saturated = self._saturated + 1 if share >= MAX_SHARE else 0
+            self._lowest = min(self._lowest, float(generation.fitness.min()))
+            self._highest = max(self._highest, float(generation.fitness.max()))
+            nearly = self._highest - SAME * abs(self._highest)
+            equal = self._lowest < nearly and np.mean(generation.fitness >= nearly) >= EQUAL_SHARE
+            self._saturated = self._saturated + 1 if equal else 0
             return False
         self._levels.append(float(np.median(np.sort(generation.fitness)[len(generation.fitness) // 2 :])))
         if not self.stages[self.stage].reached(self._levels):
@@ -168,8 +172,8 @@ class Schedule:
 
     @property
     def converged(self) -> bool:
-        """True if half of the candidates had the maximum fitness in each of the last 20 generations."""
-        return self._saturated >= MAX_GENERATIONS
+        """True if half of the candidates had nearly the highest fitness in each of the last 20 generations."""
+        return self._saturated >= EQUAL_GENERATIONS
 
     @property
     def status(self) -> str:
@@ -179,7 +183,12 @@ class Schedule:
     @property
     def state(self) -> StrategyState:
         """The state that `tell` changes."""
-        return {"stage": self.stage, "levels": np.array(self._levels), "saturated": self._saturated}
+        return {
+            "stage": self.stage,
+            "levels": np.array(self._levels),
+            "range": np.array([self._lowest, self._highest]),
+            "saturated": self._saturated,
+        }
 
     def restore(self, state: StrategyState) -> None:
         """Continue from the ``state`` of a schedule of the same stages. Raises `InvalidArgument` or `ShapeError`."""
@@ -187,4 +196,5 @@ class Schedule:
         if not isinstance(stage, int) or not 0 <= stage <= len(self.stages):
             raise InvalidArgument(f"schedule: expected the number of a stage up to {len(self.stages)}, got {stage!r}")
         self.stage, self._levels = stage, check_shape("levels", state["levels"], (None,)).tolist()
+        self._lowest, self._highest = check_shape("range", state["range"], (2,)).tolist()
         self._saturated = int(state["saturated"])

@@ -193,7 +193,7 @@ def polish(
             initial=chosen[run].parameters,
             first_steps=controller.first_steps(task.observation_sizes()),
         )
-        return strategy, Schedule((), objective(run), max_fitness=task.max_fitness)
+        return strategy, Schedule((), objective(run))
 
     def margins(candidates: Array) -> Array:
         kept, delay = {label: runners[label] for label in used}, settings.estimator_delay

@@ -63,8 +63,7 @@ class TaskState:
 class Task(ABC):
     """Base class of tasks of ``horizon`` steps; `fitness` is maximised and never below ``worst``.
 
-    ``max_fitness`` is the highest fitness of a trial, if a good controller reaches it in every trial; infinite by
-    default. ``rest_is_zero``: controls at rest have fitness 0, so they need not be simulated.
+    ``rest_is_zero``: controls at rest have fitness 0, so they need not be simulated.
     """
 
     default_noise: ClassVar[str] = ""
@@ -75,7 +74,6 @@ class Task(ABC):
 
     horizon: int
     worst: float = 0.0
-    max_fitness: float = np.inf
     rest_is_zero: bool = False
     fitness_unit: str = ""
     observations: tuple[Channel, ...]

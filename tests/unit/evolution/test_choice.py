@@ -100,8 +100,8 @@ def test_a_polish_climbs_to_the_place_where_the_lowest_model_is_highest():
     )  # fmt: skip
     assert better.parameters[0] == pytest.approx(1.0, abs=0.05)
     assert (better.name, better.against, better.aggregate) == ("better", ("a", "b"), "min")
-    assert better.history.shape == (60, 3)
-    assert told == [(i, 60) for i in range(1, 61)]
+    assert 20 < len(better.history) < 60  # all candidates are there long before
+    assert told == [(i, 60) for i in range(1, len(better.history) + 1)]
     (only,) = better.finalists
     assert (only.behaviour_class, only.forecast) == ("polished left", None)
     assert only.fitness == pytest.approx(9.0, abs=0.05)

@@ -17,10 +17,10 @@ from sysid_evo.evolution import (
     Stage,
     evolve,
     evolve_controller,
+    loop,
 )
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec
-from sysid_evo.tasks.point_to_point import PointToPoint
 from tests.fixtures.checkpoints import Stop, StopAfter
 from tests.fixtures.evolutions import assert_same
 
@@ -195,9 +195,9 @@ def test_stages_must_fit_what_is_asked_for(car_data):
         wrong.stages(wrong.make_task(car_data.system), ("linear",))
 
 
-def test_a_search_is_over_when_half_of_the_candidates_have_had_all_there_is_for_twenty_generations():
-    schedule = Schedule([], hill(1.0), max_fitness=2.0)
-    full, not_quite = scored(2.0, 2.0, 0.0, 0.0), scored(2.0, 1.9, 1.9, 0.0)
+def test_a_search_is_over_when_half_of_the_candidates_have_had_nearly_the_most_for_twenty_generations():
+    schedule = Schedule([], hill(1.0))
+    full, not_quite = scored(2.0, 1.9999, 0.0, 0.0), scored(2.0, 1.999, 1.999, 0.0)
     for generation in (*[full] * 19, not_quite, *[full] * 19):
         schedule.tell(generation)
         assert not schedule.converged
@@ -205,20 +205,35 @@ def test_a_search_is_over_when_half_of_the_candidates_have_had_all_there_is_for_
     assert schedule.converged
 
 
-def test_an_easier_stage_does_not_end_a_search():
-    schedule = Schedule([(Stage(max_generations=30), hill(9.0))], hill(1.0), max_fitness=1.0)
+def test_a_search_that_still_rises_is_not_over():
+    schedule = Schedule([], hill(1.0))
+    for number in range(60):
+        schedule.tell(scored(1.0 + 0.01 * number, 1.0 + 0.01 * number, 0.0))
+    schedule.tell(scored(1.0, 1.0, 1.0))
+    assert not schedule.converged
+
+
+def test_a_search_among_equals_goes_on():
+    schedule = Schedule([], hill(1.0))
     for _ in range(30):
-        schedule.tell(scored(1.0, 1.0))
+        schedule.tell(scored(-500.0, -500.0))
+    assert not schedule.converged
+
+
+def test_an_easier_stage_does_not_end_a_search():
+    schedule = Schedule([(Stage(max_generations=30), hill(9.0))], hill(1.0))
+    for _ in range(30):
+        schedule.tell(scored(1.0, 1.0, 0.0))
     assert schedule.stage == 1
     assert not schedule.converged
 
 
 def test_a_run_ends_when_its_search_has_converged_and_resumes_to_the_same_end(runners, evolved, tmp_path, monkeypatch):
-    monkeypatch.setattr(PointToPoint, "max_fitness", 0.0)  # whatever anybody does is all there is
-    settings = replace(SETTINGS, generations=40, repeats=2, schedule=(), task="point_to_point(horizon=5)")
+    monkeypatch.setattr(loop, "EQUAL_SHARE", 0.0)
+    settings = replace(SETTINGS, generations=40, repeats=2, schedule=())
     given = settings, {"linear": runners["linear"]}
     champion = evolved(*given)
-    assert len(champion.history) == 20
+    assert len(champion.history) == 22  # the first two have equals alone
     with pytest.raises(Stop):
         evolved(*given, checkpoint=CheckpointFile(tmp_path / "c"), progress=StopAfter(20))
     assert_same(evolved(*given, checkpoint=CheckpointFile(tmp_path / "c")), champion)
