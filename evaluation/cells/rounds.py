@@ -135,7 +135,7 @@ class Round(CellSettings):
     fitness alone is compared. Judged episodes last as long as the trial, up to `LONGEST_SHARE` of ``max_steps``: a
     controller that lasts is recorded in fewer and longer episodes, and returns of all rounds are comparable. The best
     are tried again at the end, see `tried_again`. No round follows one that gives a `reason_to_end`, or if it might
-    exceed ``max_steps`` recorded steps in all.
+    leave no steps for that, of ``max_steps`` in all.
     """
 
     number: int
@@ -193,7 +193,8 @@ class Round(CellSettings):
         short = min(EPISODE_STEPS, whole)
         moves = dataset.system.motion is not None
         fewest = OF_BODIES if moves else FEWEST_EPISODES
-        episodes = min(ROUND_STEPS, self.max_steps - summary.steps - fewest * whole) // short
+        kept = FEWEST_EPISODES * whole  # to try the best controller again
+        episodes = min(ROUND_STEPS, self.max_steps - summary.steps - fewest * whole - kept) // short
         if summary.ended:
             return before
         if episodes < fewest:

@@ -131,8 +131,9 @@ def test_rounds_search_in_the_named_models_alone():
         plan_comparison(asked.model_copy(update={"searched": ("narx", "other")}))
 
 
-def test_a_planar_simulator_is_recorded_in_rounds():
+def test_a_planar_simulator_is_recorded_in_rounds(monkeypatch):
     pytest.importorskip("vehiclemodels")
+    monkeypatch.setattr("evaluation.cells.rounds.RECORDING_SECONDS", np.inf)  # a busy machine is slower
     assert default_rounds(Experiment(), robot_spec("drift_car")) == 10
 
 
@@ -280,8 +281,9 @@ def test_after_the_end_a_round_changes_nothing_and_without_steps_left_there_is_n
     over = replace(first, summary=replace(first.summary, ended="it ended"))
     step = replace(planned.settings, previous=0)
     assert step.compute(Work(over)) is over
-    spent = step.compute(Work(first)).summary
-    assert (spent.rounds, spent.ended) == ((), "1000 recorded steps are the most")
+    for recorded in (900, 700):  # 3 whole episodes of 50 steps are kept to try the best again
+        spent = step.compute(Work(replace(first, summary=replace(first.summary, first=recorded)))).summary
+        assert (spent.rounds, spent.ended) == ((), "1000 recorded steps are the most")
 
 
 def test_a_model_that_is_right_has_no_error_ahead():
