@@ -12,8 +12,8 @@ from model_zoo.features import Features
 from model_zoo.networks.network import Layers, random_network
 from model_zoo.networks.neural_ode import OdeSimulation
 from model_zoo.networks.torch_ode import TorchOde
-from model_zoo.networks.torch_training import Equation, Turning, seen
-from model_zoo.networks.training import Batches, TrainingWindows
+from model_zoo.networks.torch_training import Adam, Equation, Turning, seen
+from model_zoo.networks.training import MOMENTUM, SPREAD, Batches, TrainingWindows
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument, ShapeError
 from sysid_evo.models import load_model, save_model
@@ -258,3 +258,22 @@ def test_the_solvers_on_offer_are_those_of_torchdiffeq():
     for solver in get_args(get_type_hints(TorchOde.__init__)["solver"]):
         after = odeint(lambda _, x: -x, torch.ones(1, dtype=torch.float64), torch.tensor([0.0, 0.1]), method=solver)
         assert abs(float(after[-1]) - np.exp(-0.1)) < (6e-3 if solver == "euler" else 1e-3)
+
+
+@pytest.mark.nightly  # the compiler of PyTorch is imported
+def test_a_step_of_adam_is_that_of_pytorch_to_the_last_bit():
+    ours, theirs = torch.nn.Linear(3, 2), torch.nn.Linear(3, 2)
+    theirs.load_state_dict(ours.state_dict())
+    known = torch.optim.Adam(theirs.parameters(), betas=(MOMENTUM, SPREAD), weight_decay=0.1)
+    own = Adam(ours.parameters(), 0.1)
+    for rate, x in zip(
+        (0.1, 0.03, 0.01), torch.randn(3, 5, 3, generator=torch.Generator().manual_seed(0)), strict=True
+    ):
+        for module in (ours, theirs):
+            module.zero_grad()
+            module(x).square().sum().backward()
+        known.param_groups[0]["lr"] = rate
+        known.step()
+        own.step(rate)
+    for one, other in zip(ours.parameters(), theirs.parameters(), strict=True):
+        assert torch.equal(one, other)
