@@ -17,6 +17,7 @@ from sysid_evo.tasks import Target
 from sysid_evo.testing.examples import drone
 from tests.fixtures.browser import DESK, PHONE, TABLET, resize, share_of, sideways
 from tests.fixtures.known_models import SYSTEM
+from tests.fixtures.session import without_figures
 
 CLOCK, PLAY, TIME, ROW, PACE = "#replay-clock", "#replay-play", "#replay-time", "#replay-row", "#replay-pace"
 FRAMES = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => requestAnimationFrame(done))))"
@@ -33,7 +34,8 @@ def states_page(report, tmp_path_factory):
         )
         cells[key] = replace(cell, traces=traces)
     states = replace(report, prediction=None, exploitability=(), matrix=replace(report.matrix, cells=cells))
-    return save_report(states, tmp_path_factory.mktemp("page"))[1]
+    with without_figures():
+        return save_report(states, tmp_path_factory.mktemp("page"))[1]
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +51,8 @@ def space_page(report, tmp_path_factory):
     champions = tuple(replace(champion, system=system) for champion in report.matrix.champions)
     matrix = replace(report.matrix, cells=cells, champions=champions)
     flown = replace(report, prediction=None, exploitability=(), matrix=matrix)
-    return save_report(flown, tmp_path_factory.mktemp("page"))[1]
+    with without_figures():
+        return save_report(flown, tmp_path_factory.mktemp("page"))[1]
 
 
 @pytest.fixture
