@@ -10,7 +10,7 @@ from functools import cache, partial
 from importlib.resources import files
 from itertools import count
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup, escape
 
 from evaluation.plot_style import style_sheet
@@ -24,6 +24,17 @@ JOINT = re.compile(r"(?<=\w)([_+/@])(?=\w)")
 
 def page_of(story: Page) -> str:
     """Return a page as HTML, with no link or source outside itself."""
+    page: str = _template().render(
+        story=story,
+        colours=Markup(style_sheet()),
+        new_words=partial(Words, count()),
+    )
+    return page
+
+
+@cache
+def _template() -> Template:
+    """Return the template; compiling it takes a tenth of a second."""
     environment = Environment(
         loader=PackageLoader("evaluation.report", "page"),
         autoescape=True,
@@ -31,7 +42,7 @@ def page_of(story: Page) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["drawn"] = drawn
+    environment.filters["drawn"] = lambda panel: drawn(panel)
     environment.filters["joints"] = _joints
     environment.filters["links"] = lambda drawing: Markup(json.dumps(drawing.links).replace("<", "\\u003c"))
     environment.filters["raw"] = Markup
@@ -39,12 +50,7 @@ def page_of(story: Page) -> str:
     environment.tests["cards"] = lambda item: isinstance(item, Cards)
     environment.tests["replay"] = lambda item: isinstance(item, ReplayElement)
     environment.tests["fold"] = lambda item: isinstance(item, Fold)
-    page: str = environment.get_template(TEMPLATE).render(
-        story=story,
-        colours=Markup(style_sheet()),
-        new_words=partial(Words, count()),
-    )
-    return page
+    return environment.get_template(TEMPLATE)
 
 
 def _joints(text: str) -> Markup:
