@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -169,7 +170,7 @@ class GreyBox(DynamicsModel):
             known=known_rates(self, self.rate_of, system, self.law is type(self).acceleration),
         )
 
-    @property
+    @cached_property
     def integrated(self) -> GreyBoxEquation:
         """The integrated structure, with only the earlier controls that the fitted delay needs."""
         found = self._structure_on(self.system)
