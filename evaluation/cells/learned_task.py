@@ -91,7 +91,7 @@ def _step_seconds(task: Task, dataset: Dataset) -> float:
 
 
 LEARN = "learn"
-CELL_KINDS[LEARN] = CellKind(result_of(LearnedTaskResult), version=2)
+CELL_KINDS[LEARN] = CellKind(result_of(LearnedTaskResult), version=3)
 
 
 def learning_cell(

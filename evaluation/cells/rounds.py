@@ -130,12 +130,12 @@ class Round(CellSettings):
 
     Models that do not predict are left out of the evolution if others do, see `labels_to_search`.
     The evolution continues from that of `round_to_continue`, other runs from the beginning. Its trials are as long as
-    those of the task if the robot moves, else see `search_horizon`. ``noise`` is that of
-    `Exploring`, in a share ``noisy_share`` of the episodes. The others have the same starts in every round, and their
-    fitness alone is compared. Judged episodes last as long as the trial, up to `LONGEST_SHARE` of ``max_steps``: a
-    controller that lasts is recorded in fewer and longer episodes, and returns of all rounds are comparable. The best
-    are tried again at the end, see `tried_again`. No round follows one that gives a `reason_to_end`, or if it might
-    leave no steps for that, of ``max_steps`` in all.
+    those of the task if the robot moves or its last step has a reward of its own, else see `search_horizon`. ``noise``
+    is that of `Exploring`, in a share ``noisy_share`` of the episodes. The others have the same starts in every round,
+    and their fitness alone is compared. Judged episodes last as long as the trial, up to `LONGEST_SHARE` of
+    ``max_steps``: a controller that lasts is recorded in fewer and longer episodes, and returns of all rounds are
+    comparable. The best are tried again at the end, see `tried_again`. No round follows one that gives a
+    `reason_to_end`, or if it might leave no steps for that, of ``max_steps`` in all.
     """
 
     number: int
@@ -202,6 +202,7 @@ class Round(CellSettings):
             goal = with_horizon(recorded_task(self.evolution.task, dataset), whole)
             return replace(before, summary=self.tried_again(summary, work, dataset.system, goal))
         goal = recorded_task(self.evolution.task, dataset)
+        least = longest if moves or make_task(goal).pays_at_limit else SEARCH_STEPS
         learned = {spec.label: Fit(spec, self.data, self.seed, self.preset).learn(dataset) for spec in self.specs}
         known: Sequence[RecordingRound] = summary.rounds
         start = round_to_continue(known)
@@ -210,7 +211,7 @@ class Round(CellSettings):
             f"round {self.number}",
             searched,
             dataset.system,
-            in_trials_of(continued(self.evolution, start), goal, longest if moves else search_horizon(known, longest)),
+            in_trials_of(continued(self.evolution, start), goal, search_horizon(known, longest, least)),
             seed=cell_seed(self.seed, f"round {self.number}"),
             initial=None if start is None else start.parameters,
             progress=work.progress,
@@ -245,7 +246,7 @@ class Round(CellSettings):
             errors={label: error_ahead(model, dataset, new) for label, model in learned.items()},
         )
         ended = reason_to_end(known, made, whole)
-        if not ended and not moves and searches((*known, made), longest) > MOST_SEARCHES:
+        if not ended and not moves and searches((*known, made), longest, least) > MOST_SEARCHES:
             ended = "the controllers last so long that another evolution would take too much time"
         summary = replace(summary, rounds=(*known, made), ended=ended)
         if ended or self.is_last:
@@ -299,24 +300,24 @@ def record_until(
     return driven
 
 
-def search_horizon(known: Sequence[RecordingRound], longest: int) -> int:
+def search_horizon(known: Sequence[RecordingRound], longest: int, least: int = SEARCH_STEPS) -> int:
     """Return the horizon of the evolution, `BEYOND` the mean end of the judged episodes of the best round.
 
-    Models then show what ends them. It is at least `SEARCH_STEPS`, and at most the ``longest``. Where all episodes last
-    equally long, nothing ends them, and it is `SEARCH_STEPS`.
+    Models then show what ends them. It is at least the ``least``, and at most the ``longest``. Where all episodes last
+    equally long, nothing ends them, and it is the ``least``.
     """
     best = best_round(known)
     if best is None or len(np.unique(np.concatenate([one.judged_steps for one in known]))) == 1:
-        return min(SEARCH_STEPS, longest)
-    return min(max(SEARCH_STEPS, round(BEYOND * float(best.judged_steps.mean()))), longest)
+        return min(least, longest)
+    return min(max(least, round(BEYOND * float(best.judged_steps.mean()))), longest)
 
 
-def searches(known: Sequence[RecordingRound], longest: int) -> float:
+def searches(known: Sequence[RecordingRound], longest: int, least: int = SEARCH_STEPS) -> float:
     """Return the simulated steps of all evolutions up to that after ``known``, in those of one with `SEARCH_STEPS`.
 
     An evolution with longer trials has fewer generations, but at least half of them, see `in_trials_of`.
     """
-    horizons = [search_horizon(known[:count], longest) for count in range(len(known) + 1)]
+    horizons = [search_horizon(known[:count], longest, least) for count in range(len(known) + 1)]
     return sum(max(1.0, horizon / (2.0 * SEARCH_STEPS)) for horizon in horizons)
 
 
@@ -507,5 +508,5 @@ def _load(path: Path) -> RoundsSoFar:
     return RoundsSoFar(Dataset.load(path / "data"), load_result(RoundsSummary, path / "rounds"))
 
 
-CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=9)
+CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=10)
 CELL_KINDS["choose_round"] = CellKind(CONTROLLERS, version=4, tolerant=True)

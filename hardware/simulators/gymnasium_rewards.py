@@ -71,7 +71,7 @@ def raised(after, lane):
     return 1.0 if height > 1.0 else 0.0
 
 
-ROWS = Layout("fitness", "alive")
+ROWS = Layout("fitness", "alive", "steps")
 HEAD = Layout("nx")
 STATE = Layout("periodic", "centre", "scale")
 
@@ -100,21 +100,36 @@ def advance(task, before, after, control, trials, trial_data, parameters):
     """Add the reward of the step, and end the trial where the environment does."""
     for lane in range(LANES):
         task[ROWS.fitness * LANES + lane] += reward_of(before, control, after, lane)
+        task[ROWS.steps * LANES + lane] += 1.0
         if is_over(after, lane) > 0.0:
             task[ROWS.alive * LANES + lane] = 0.0
 
 
-LEARNED = Layout("least")
-"""After the table of the states; the parameters of the learned reward follow."""
+LEARNED = Layout("least", "late", "limit")
+"""After the table of the states; the parameters of the learned reward follow.
+
+Those of the reward at the time limit begin at ``late``; ``limit`` is its step, 0 if it is paid as others are.
+"""
 
 
 def advance_learned(task, before, after, control, trials, trial_data, parameters):
     """Add the learned reward of the step, and end the trial where an episode was learned to end."""
     own = view(parameters, HEAD.size + int(parameters[HEAD.nx]) * STATE.size)
     scratch = view(task, ROWS.size * LANES)
+    fitness, steps = view(task, ROWS.fitness * LANES), view(task, ROWS.steps * LANES)
+    least, late, limit = own[LEARNED.least], int(own[LEARNED.late]), own[LEARNED.limit]
     judge_lanes(before, control, after, scratch, view(own, LEARNED.size))
+    at_limit = 0
     for lane in range(LANES):
-        reward = scratch[lane]
-        task[ROWS.fitness * LANES + lane] += reward if reward >= own[LEARNED.least] else own[LEARNED.least]
+        steps[lane] += 1.0
+        reward = scratch[lane] if scratch[lane] >= least else least
+        if steps[lane] == limit:
+            at_limit, reward = 1, 0.0
+        fitness[lane] += reward
         if scratch[LANES + lane] > 0.0:
             task[ROWS.alive * LANES + lane] = 0.0
+    if at_limit > 0:
+        judge_lanes(before, control, after, scratch, view(own, late))
+        for lane in range(LANES):
+            if steps[lane] == limit:
+                fitness[lane] += scratch[lane] if scratch[lane] >= least else least

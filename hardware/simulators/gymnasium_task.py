@@ -74,9 +74,10 @@ RULES: Mapping[str, KnownReward] = {
 
 @dataclass(frozen=True)
 class EnvironmentTaskState(TaskState):
-    """``earned`` (B,) is the sum of the rewards so far."""
+    """``earned`` (B,) is the sum of the rewards of all ``steps`` (B,) so far."""
 
     earned: Array
+    steps: Array
 
 
 @register_task("environment")
@@ -89,7 +90,8 @@ class EnvironmentTask(Task):
     ``angle`` and ``settings`` are those of the robot.
 
     The rewards of the classic environments are known as functions and compiled. Others are ``learned`` from a
-    recording, which `compare` does, with the function `learn_task`; they are compiled, too. With ``exact`` the
+    recording, which `compare` does, with the function `learn_task`; they are compiled, too. A reward that is paid at
+    the environment's time limit alone is learned apart, and paid in that step of a trial. With ``exact`` the
     environment itself is put into each state and stepped instead, which takes some hundred times as long; this is the
     default of a task that has learned nothing, where `state_setter` finds a way. Rewards below ``lowest`` count as
     that; by default it is slightly below the rewards of random steps or of the recording. On the environment itself
@@ -129,6 +131,8 @@ class EnvironmentTask(Task):
                 raise IncompatibleTask(f"task environment: {tried.setter}, so its reward cannot be computed exactly")
         self.least = least if lowest is None else lowest
         self.needs_recording = self.rules is None and self.learned is None and not exact
+        self.pays_at_limit = self.learned is not None and self.learned.late is not None
+        self.limit = longest
         self.horizon = longest if horizon is None else horizon
         if self.horizon < 1:
             raise InvalidArgument(f"task environment: expected a horizon of at least one step, got {horizon}")
@@ -185,10 +189,8 @@ class EnvironmentTask(Task):
             states = initial_states(self.id, tuple(seeds.tolist()))
         else:
             states = self.tried.initial_states(tuple(seeds.tolist()))
-        alive = np.ones(len(seeds), dtype=bool)
-        return EnvironmentTaskState(
-            states.copy(), np.zeros((len(seeds), self.system.n_pose)), alive, np.zeros(len(seeds))
-        )
+        alive, none = np.ones(len(seeds), dtype=bool), np.zeros(len(seeds))
+        return EnvironmentTaskState(states.copy(), np.zeros((len(seeds), self.system.n_pose)), alive, none, none)
 
     def observe(self, task_state: TaskState, state: Array) -> Array:
         columns = [np.ones(len(state))]
@@ -214,15 +216,19 @@ class EnvironmentTask(Task):
     ) -> tuple[TaskState, Array]:
         here = cast("EnvironmentTaskState", task_state)
         reward, over = self._judged(before, control, after)
-        return replace(here, earned=here.earned + reward, alive=here.alive & ~over), after
+        if self.learned is not None and self.learned.late is not None:
+            late, _ = self.learned.late.judge(self.system, before, control, after)
+            reward = np.where(here.steps + 1 == self.limit, np.maximum(late, self.least), reward)
+        return replace(here, earned=here.earned + reward, alive=here.alive & ~over, steps=here.steps + 1), after
 
     def fitness(self, task_state: TaskState) -> Array:
         return cast("EnvironmentTaskState", task_state).earned
 
     def learn(self, dataset: Dataset) -> LearnedTask:
-        reward, quality = fit_reward(dataset)
+        reward, quality = fit_reward(dataset, self.limit)
         settable = self.tried is not None and isinstance(self.tried.setter, StateSetter)
-        exact = {"exact": True} if settable else {}
+        # an environment that is put into a state begins its time anew, and never pays what it pays at the limit
+        exact = {"exact": True} if settable and not quality.forms[3] else {}
         return LearnedTask({"learned": reward.to_text()}, quality.sentences, quality.warning, exact)
 
     def rewarded_by(self, simulator: str) -> bool:
@@ -251,21 +257,20 @@ class EnvironmentTask(Task):
         else:
             assert self.learned is not None
             advance, further = KernelSource(gymnasium_rewards.advance_learned), scratch_rows(self.learned)
-            own = gymnasium_rewards.LEARNED.pack(least=self.least), self.learned.parameters(self.system)
-            parameters = gymnasium_rewards.HEAD.pack(np.concatenate(states), *own, nx=self.system.nx)
+            late = self.learned.late
+            tables = [one.parameters(self.system) for one in (self.learned, late) if one is not None]
+            at, limit = gymnasium_rewards.LEARNED.size + len(tables[0]), 0 if late is None else self.limit
+            own = gymnasium_rewards.LEARNED.pack(*tables, least=self.least, late=at, limit=limit)
+            parameters = gymnasium_rewards.HEAD.pack(np.concatenate(states), own, nx=self.system.nx)
         return TaskKernel(
             observe=KernelSource(gymnasium_rewards.observe),
             advance=advance,
             n_rows=gymnasium_rewards.ROWS.size + further,
-            rows=lambda state: np.stack(
-                [
-                    cast("EnvironmentTaskState", state).earned,
-                    state.alive.astype(np.float64),
-                    *np.zeros((further, len(state.alive))),
-                ]
+            rows=lambda state: np.vstack(
+                [state.earned, state.alive, state.steps, np.zeros((further, len(state.alive)))]
             ),
             trial_data=lambda state: np.zeros((len(state.alive), 1)),
-            state=lambda state, rows: replace(cast("EnvironmentTaskState", state), earned=rows[0], alive=rows[1] > 0.0),
+            state=lambda state, rows: replace(state, earned=rows[0], alive=rows[1] > 0.0, steps=rows[2]),
             parameters=parameters,
         )
 

@@ -6,7 +6,8 @@ from __future__ import annotations
 import base64
 import binascii
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -37,7 +38,8 @@ class LearnedReward:
     - ``last``, of the first r, or of all: the reward of the step that ends it. With two ``levels`` (2,) it is the
       second of these where the polynomial is positive, else the first.
 
-    ``range`` (4,) are the lowest and highest reward of a step and of the last one.
+    ``range`` (4,) are the lowest and highest reward of a step and of the last one. ``late`` is the reward of the step
+    at the time limit if it is another one.
     """
 
     centre: Array
@@ -52,6 +54,7 @@ class LearnedReward:
     limits: Array
     levels: Array
     range: Array
+    late: LearnedReward | None = None
 
     @property
     def n_reached(self) -> int:
@@ -61,7 +64,8 @@ class LearnedReward:
     @property
     def least(self) -> float:
         """The lowest reward."""
-        return float(min(self.range[0], self.range[2]))
+        own = float(min(self.range[0], self.range[2]))
+        return own if self.late is None else min(own, self.late.least)
 
     def judge(self, system: System, before: Array, control: Array, after: Array) -> tuple[Array, BoolArray]:
         """Return the rewards (B,) of steps, and whether each ended its episode (B,)."""
@@ -83,19 +87,9 @@ class LearnedReward:
         m, r = len(self.centre), self.n_reached
         periods = [system.periods.get(i, 0.0) for i in range(system.nx)]
         tables: list[npt.ArrayLike] = [
-            periods,
-            self.centre,
-            1.0 / self.scale,
-            self.step,
-            self.inner,
-            self.outer,
-            self.end,
-            self.last,
-            self.limits,
-            self.distances,
-            self.trees,
-            [*system.neutral_state, *system.neutral_control],
-        ]
+            periods, self.centre, 1.0 / self.scale, self.step, self.inner, self.outer, self.end, self.last, self.limits,
+            self.distances, self.trees, [*system.neutral_state, *system.neutral_control],
+        ]  # fmt: skip
         levels = self.levels if len(self.levels) else (0.0, 0.0)
         starts = np.cumsum([HEAD.size, *(np.size(table) for table in tables)])
         return HEAD.pack(
@@ -111,13 +105,15 @@ class LearnedReward:
     def to_text(self) -> str:
         """Return all arrays as text, for the spec of a task."""
         arrays = {name: np.ascontiguousarray(getattr(self, name), dtype=np.float32) for name in ARRAYS}
-        return base64.b64encode(save(arrays)).decode()
+        own = base64.b64encode(save(arrays)).decode()
+        return own if self.late is None else f"{own}.{self.late.to_text()}"
 
     @classmethod
     def from_text(cls, text: str) -> LearnedReward:
         """Inverse of `to_text`. Raises `InvalidArgument`."""
+        own, _, late = text.partition(".")
         try:
-            arrays = load(base64.b64decode(text, validate=True))
+            arrays: dict[str, Any] = load(base64.b64decode(own, validate=True))
             found = cls(**{name: arrays[name].astype(np.float64) for name in ARRAYS})
         except (binascii.Error, SafetensorError, KeyError, ValueError) as error:
             raise InvalidArgument(f"learned reward: expected the text that was stored with it: {error}") from error
@@ -134,12 +130,79 @@ class LearnedReward:
         for places, count in ((found.distances[:, 1:3], m - r), (found.trees[:, :NODES], r)):
             if (places < 0).any() or (places >= count).any():
                 raise InvalidArgument("learned reward: a distance or a tree is of a feature that does not exist")
-        return found
+        if not late:
+            return found
+        at_limit = cls.from_text(late)
+        if [at_limit.n_reached, len(at_limit.centre)] != [r, m]:
+            raise InvalidArgument("learned reward: the one at the time limit has other features")
+        return replace(found, late=at_limit)
 
     def fits(self, system: System) -> bool:
         """Return whether it was learned on a system with as many states, controls and periodic states."""
         r = system.nx + len(system.periods)
         return self.n_reached == r and len(self.centre) == r + system.nu + system.nx
+
+
+LARGE, FEW_FOUND = 0.2, 0.6
+"""A reward is badly known from this held-out error on, or if fewer of the ends are found."""
+
+
+@dataclass(frozen=True)
+class RewardQuality:
+    """Held-out errors of a learned reward.
+
+    ``error``, ``last_error`` and ``late_error`` are root mean squares, of rewards of steps, of those that ended an
+    episode (nan without ends) and of those at the time limit (nan if they are as others), over their standard
+    deviation, the latter two over that of all rewards if it is larger; ``found`` is the share of recorded ends that
+    were predicted, nan without ends, ``wrong`` the number of wrong ends in 1,000 steps. ``forms`` name what was fitted,
+    the last one at the time limit, "" if it is as others.
+    """
+
+    steps: int
+    episodes: int
+    ends: int
+    error: float
+    last_error: float
+    late_error: float
+    found: float
+    wrong: float
+    forms: tuple[str, str, str, str]
+
+    @property
+    def warning(self) -> str:
+        """Why the reward is badly known, in a sentence; empty if it is not."""
+        reasons = []
+        if self.error > LARGE:
+            error, most = 100.0 * self.error, 100.0 * LARGE
+            reasons.append(f"held-out error {error:.2g} % of its standard deviation, at most {most:.2g} % is reliable")
+        if self.late_error > LARGE:
+            reasons.append(f"held-out error {100.0 * self.late_error:.2g} % in the step at the time limit")
+        if self.found < FEW_FOUND:
+            found, least = 100.0 * self.found, 100.0 * FEW_FOUND
+            reasons.append(f"{found:.0f} % of the ends of episodes are found, {least:.0f} % are needed")
+        return f"The learned reward is badly known: {'; '.join(reasons)}." if reasons else ""
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The errors in words."""
+        step, end, last, late = self.forms
+        wording = [
+            f"Learned reward: {step} of state, control and next state; held-out error {100.0 * self.error:.2g} % of "
+            f"its standard deviation ({self.steps:,} steps of {self.episodes:,} episodes)."
+        ]
+        if late:
+            wording.append(
+                f"Reward at the time limit, which differs: {late} of the state reached; held-out error "
+                f"{100.0 * self.late_error:.2g} %. It is paid in the last step of simulated trials."
+            )
+        if not self.ends:
+            return (*wording, "Learned end: none; no recorded episode was terminated.")
+        wording.append(
+            f"Learned end: {end}, from {self.ends} recorded ends; held out, {100.0 * self.found:.0f} % of the ends are "
+            f"found, with {self.wrong:.2g} wrong ones in 1,000 steps."
+        )
+        wording.append(f"Reward of the last step: {last}; held-out error {100.0 * self.last_error:.2g} %.")
+        return tuple(wording)
 
 
 ARRAYS = (
@@ -229,24 +292,9 @@ OFFSETS = (
     "periods", "centre", "factor", "step", "inner", "outer", "end", "last", "bounds", "lengths", "forest", "neutral"
 )  # fmt: skip
 HEAD = Layout(
-    "nx",
-    "nu",
-    "m",
-    "r",
-    "n_last",
-    "hidden",
-    "limits",
-    "n_distances",
-    "n_trees",
-    *OFFSETS,
-    "two",
-    "first",
-    "second",
-    "low",
-    "high",
-    "last_low",
-    "last_high",
-)
+    "nx", "nu", "m", "r", "n_last", "hidden", "limits", "n_distances", "n_trees", *OFFSETS,
+    "two", "first", "second", "low", "high", "last_low", "last_high",
+)  # fmt: skip
 SUMS = 4
 """Rows for the values of the three polynomials and of one hidden unit, before those for the features."""
 
@@ -254,7 +302,8 @@ SUMS = 4
 def scratch_rows(learned: LearnedReward) -> int:
     """Return the number of rows of 64 numbers that `judge_lanes` needs."""
     m = len(learned.centre)
-    return SUMS + m + (2 * (m - learned.n_reached) if len(learned.distances) else 0)
+    own = SUMS + m + (2 * (m - learned.n_reached) if len(learned.distances) else 0)
+    return own if learned.late is None else max(own, scratch_rows(learned.late))
 
 
 def polynomial_lanes(value, features, n, coefficients):

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from sysid_evo.data import Dataset
-from sysid_evo.data.trajectory import TERMINATED
+from sysid_evo.data.trajectory import TERMINATED, TRUNCATED, recording
 from sysid_evo.errors import InvalidData
 from sysid_evo.system import System
 from sysid_evo.tasks.learned_reward import (
@@ -18,6 +19,7 @@ from sysid_evo.tasks.learned_reward import (
     NODES,
     TREE,
     LearnedReward,
+    RewardQuality,
     distance_values,
     n_terms,
     network,
@@ -43,66 +45,16 @@ MARGIN = 1.0
 SIMPLER = 1.02
 """A simpler form is used if its held-out error is at most this multiple of the lowest."""
 FEWEST_ENDS = 3
-LARGE, FEW_FOUND = 0.2, 0.6
-"""A reward is badly known from this held-out error on, or if fewer of the ends are found."""
 HORIZON = 20.0
 """Steps over which wrong ends are counted when forms of the end are compared."""
-
-
-@dataclass(frozen=True)
-class RewardQuality:
-    """Held-out errors of a learned reward.
-
-    ``error`` and ``last_error`` are root mean squares, of rewards of steps and of those that ended an episode (nan
-    without ends), over their standard deviation, the latter over that of all rewards if it is larger; ``found`` is the
-    share of recorded ends that were predicted, nan without ends, ``wrong`` the number of wrong ends in 1,000 steps.
-    ``forms`` name what was fitted.
-    """
-
-    steps: int
-    episodes: int
-    ends: int
-    error: float
-    last_error: float
-    found: float
-    wrong: float
-    forms: tuple[str, str, str]
-
-    @property
-    def warning(self) -> str:
-        """Why the reward is badly known, in a sentence; empty if it is not."""
-        reasons = []
-        if self.error > LARGE:
-            error, most = 100.0 * self.error, 100.0 * LARGE
-            reasons.append(f"held-out error {error:.2g} % of its standard deviation, at most {most:.2g} % is reliable")
-        if self.found < FEW_FOUND:
-            found, least = 100.0 * self.found, 100.0 * FEW_FOUND
-            reasons.append(f"{found:.0f} % of the ends of episodes are found, {least:.0f} % are needed")
-        return f"The learned reward is badly known: {'; '.join(reasons)}." if reasons else ""
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """The errors in words."""
-        step, end, last = self.forms
-        wording = [
-            f"Learned reward: {step} of state, control and next state; held-out error {100.0 * self.error:.2g} % of "
-            f"its standard deviation ({self.steps:,} steps of {self.episodes:,} episodes)."
-        ]
-        if not self.ends:
-            return (*wording, "Learned end: none; no recorded episode was terminated.")
-        wording.append(
-            f"Learned end: {end}, from {self.ends} recorded ends; held out, {100.0 * self.found:.0f} % of the ends are "
-            f"found, with {self.wrong:.2g} wrong ones in 1,000 steps."
-        )
-        wording.append(f"Reward of the last step: {last}; held-out error {100.0 * self.last_error:.2g} %.")
-        return tuple(wording)
 
 
 @dataclass(frozen=True)
 class _Steps:
     """N steps: scaled ``features`` (N, m), ``rewards``, whether they ``ended`` the episode, and their ``fold`` (N,).
 
-    ``before`` (N, nx), ``control`` (N, nu) and ``after`` (N, nx) are those of ``system``.
+    ``before`` (N, nx), ``control`` (N, nu) and ``after`` (N, nx) are those of ``system``; ``late`` (N,) are at the
+    time limit.
     """
 
     system: System
@@ -112,6 +64,7 @@ class _Steps:
     features: Array
     rewards: Array
     ended: BoolArray
+    late: BoolArray
     fold: IntArray
     n_reached: int
 
@@ -120,26 +73,17 @@ class _Steps:
         return self.features[:, : self.n_reached]
 
 
-def fit_reward(dataset: Dataset) -> tuple[LearnedReward, RewardQuality]:
+def fit_reward(dataset: Dataset, limit: int = 0) -> tuple[LearnedReward, RewardQuality]:
     """Return reward and end of the episodes of ``dataset``, and their held-out errors.
 
     Steps that terminated an episode are modelled apart: where episodes end, and the reward there. Truncated episodes
-    have no end. Every part is the form with the lowest error in cross-validation over episodes. Raises `InvalidData`
+    have no end; the last step of those with ``limit`` steps is modelled apart if it is not paid as others are. Every
+    part is the form with the lowest error in cross-validation over episodes. Raises `InvalidData`
     without recorded rewards.
     """
-    steps, centre, scale = _steps_of(dataset)
-    going, r = ~steps.ended, steps.n_reached
-    step, step_form, error = _fitted(steps.features[going], steps.rewards[going], steps.fold[going])
-    distances, inner, outer = np.zeros((0, 4)), np.zeros((0, 1 + len(centre))), np.zeros(0)
-    if error > ROUGH:
-        with_distances = _with_distances(steps, going, error)
-        if with_distances is not None:
-            step, distances, step_form, error = with_distances
-    if error > ROUGH:
-        found_network = _network(steps.features[going], steps.rewards[going], steps.fold[going], error)
-        if found_network is not None:
-            step, inner, outer, error = found_network
-            distances, step_form = np.zeros((0, 4)), f"linear terms and a network of {len(outer)} units"
+    steps, centre, scale = _steps_of(dataset, limit)
+    going = ~(steps.ended | steps.late)
+    (step, distances, inner, outer), step_form, error = _step(steps, going)
     end, trees, limits, end_form, found, wrong = _end(steps)
     last, levels, last_form, last_error = _last(steps, None if len(outer) or len(distances) else step)
     paid, final = steps.rewards[going], steps.rewards[steps.ended]
@@ -147,35 +91,61 @@ def fit_reward(dataset: Dataset) -> tuple[LearnedReward, RewardQuality]:
     low, high = (paid.min(), paid.max()) if len(paid) else (final.min(), final.max())
     final_low, final_high = (final.min(), final.max()) if len(final) else (low, high)
     wider, final_wider = MARGIN * (high - low), 0.5 * MARGIN * (final_high - final_low)
-    reward = LearnedReward(
-        centre=centre,
-        scale=scale,
-        step=step,
-        distances=distances,
-        inner=inner,
-        outer=outer,
-        end=end,
-        trees=trees,
-        last=last,
-        limits=limits,
-        levels=levels,
-        range=np.array([low - wider, high + wider, final_low - final_wider, final_high + final_wider]),
-    )
-    assert reward.n_reached == r
+    bounds = np.array([low - wider, high + wider, final_low - final_wider, final_high + final_wider])
+    reward = LearnedReward(centre, scale, step, distances, inner, outer, end, trees, last, limits, levels, bounds)
+    late, late_form, late_error = _late(steps, reward, error * float(paid.std()) if len(paid) else 0.0)
+    reward = replace(reward, late=late)
+    forms, ends = (step_form, end_form, last_form, late_form), int(steps.ended.sum())
     quality = RewardQuality(
-        steps=len(steps.rewards),
-        episodes=len(dataset),
-        ends=int(steps.ended.sum()),
-        error=error,
-        last_error=last_error,
-        found=found,
-        wrong=wrong,
-        forms=(step_form, end_form, last_form),
+        len(steps.rewards), len(dataset), ends, error, last_error, late_error, found=found, wrong=wrong, forms=forms
     )
     return LearnedReward.from_text(reward.to_text()), quality  # as it will be read
 
 
-def _steps_of(dataset: Dataset) -> tuple[_Steps, Array, Array]:
+def _step(steps: _Steps, rows: BoolArray) -> tuple[tuple[Array, Array, Array, Array], str, float]:
+    """Return terms, distances, inner and outer weights, form and held-out error of the reward of the steps ``rows``."""
+    step, form, error = _fitted(steps.features[rows], steps.rewards[rows], steps.fold[rows])
+    distances, inner, outer = np.zeros((0, 4)), np.zeros((0, 1 + steps.features.shape[1])), np.zeros(0)
+    if error > ROUGH:
+        with_distances = _with_distances(steps, rows, error)
+        if with_distances is not None:
+            step, distances, form, error = with_distances
+    if error > ROUGH:
+        found = _network(steps.features[rows], steps.rewards[rows], steps.fold[rows], error)
+        if found is not None:
+            step, inner, outer, error = found
+            distances, form = np.zeros((0, 4)), f"linear terms and a network of {len(outer)} units"
+    return (step, distances, inner, outer), form, error
+
+
+def _late(steps: _Steps, reward: LearnedReward, error: float) -> tuple[LearnedReward | None, str, float]:
+    """Return reward, form and held-out error of the step at the time limit; None if it is paid as others are.
+
+    ``error`` is the held-out one of ``reward``, in which the steps at the time limit have no part.
+    """
+    rows, paid, spread = steps.late, steps.rewards[steps.late], float(steps.rewards.std())
+    as_others, over = reward.judge(steps.system, steps.before[rows], steps.control[rows], steps.after[rows])
+    off = float(np.sqrt(np.mean((as_others - paid)[~over] ** 2))) if not over.all() else 0.0
+    if off <= max(OTHERS * error, ROUGH * spread):
+        return None, "", np.nan
+    size = max(float(paid.std()), spread)
+    if rows.sum() >= EPISODES:
+        # there are few of these steps, and what counts is where they lead
+        (few, distances, inner, outer), form, own = _step(replace(steps, features=steps.reached), rows)
+        own *= float(paid.std())
+        if own <= BETTER * off:
+            m, r = len(reward.centre), reward.n_reached
+            step, (_, second) = np.zeros(n_terms(m)), np.triu_indices(m)
+            step[np.concatenate([[True], np.arange(m) < r, second < r])] = few
+            inner = np.pad(inner, ((0, 0), (0, m - r)))
+            wider = MARGIN * float(np.ptp(paid))
+            limits = np.array([paid.min() - wider, paid.max() + wider, *reward.range[2:]])
+            paid_late = replace(reward, step=step, distances=distances, inner=inner, outer=outer, range=limits)
+            return paid_late, form, own / size
+    return None, "as of any other step", off / size
+
+
+def _steps_of(dataset: Dataset, limit: int) -> tuple[_Steps, Array, Array]:
     """Return the steps of all episodes with rewards, scaled, and the centre and scale of their features."""
     system, parts = dataset.system, []
     paid = [episode for episode in dataset if episode.rewards is not None]
@@ -184,26 +154,31 @@ def _steps_of(dataset: Dataset) -> tuple[_Steps, Array, Array]:
             "the reward of the environment cannot be learned: the recording has no rewards. Record the environment "
             "again (sysid-evo record --robot 'gymnasium(id=...)'), or give the table a column named reward"
         )
+    lengths = Counter[str]()
+    for episode in paid:
+        lengths[recording(episode.name)] += len(episode)
     for number, episode in enumerate(paid):
         rewards, count = episode.rewards, len(episode)
         assert rewards is not None
         ended = np.zeros(count, dtype=bool)
         ended[-1] = episode.ending == TERMINATED
+        late = np.zeros(count, dtype=bool)
+        late[-1] = episode.ending == TRUNCATED and lengths[recording(episode.name)] == limit
         fold = np.full(count, number % FOLDS) if len(paid) >= EPISODES else FOLDS * np.arange(count) // count
         features = raw_features(system, episode.states[:-1], episode.controls, episode.states[1:])
         moved = episode.states[:-1], episode.controls, episode.states[1:]
-        parts.append((*moved, features, rewards, ended, fold.astype(np.int64)))
+        parts.append((*moved, features, rewards, ended, late, fold.astype(np.int64)))
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    ended, count = columns[5], len(columns[5])
+    last, count = columns[5] | columns[6], len(columns[5])
     if count > MOST_STEPS:
         kept = np.random.default_rng(0).random(count) < MOST_STEPS / count
-        columns = [column[kept | ended] for column in columns]
-    before, control, after, features, rewards, ended, fold = columns
+        columns = [column[kept | last] for column in columns]
+    before, control, after, features, rewards, ended, late, fold = columns
     centre, spread = features.mean(axis=0), features.std(axis=0)
     scale: Array = np.where(spread > 1e-9 * np.maximum(1.0, np.abs(centre)), spread, 1.0)
     n_reached = system.nx + len(system.periods)
     features = (features - centre) / scale
-    return _Steps(system, before, control, after, features, rewards, ended, fold, n_reached), centre, scale
+    return _Steps(system, before, control, after, features, rewards, ended, late, fold, n_reached), centre, scale
 
 
 FORMS = ("constant", "linear", "polynomial of degree 2 without products", "polynomial of degree 2")
@@ -284,6 +259,8 @@ ROUGH = 0.02
 """Held-out error of a polynomial from which a network is tried."""
 BETTER = 0.8
 """Another form is used if its held-out error is at most this multiple of the polynomial's."""
+OTHERS = 2.0
+"""The step at the time limit is paid as others are if the error there is at most this multiple of their error."""
 
 
 def _with_distances(steps: _Steps, going: BoolArray, error: float) -> tuple[Array, Array, str, float] | None:
@@ -303,12 +280,8 @@ def _with_distances(steps: _Steps, going: BoolArray, error: float) -> tuple[Arra
     values = distance_values(table, system, steps.before[going], steps.control[going], steps.after[going])
     size = values.std(axis=0)
     table, values, size = table[size > 0.0], values[:, size > 0.0], size[size > 0.0]
-    values, whole, targets, fold = (
-        values / size,
-        terms_of(steps.features[going]),
-        steps.rewards[going],
-        steps.fold[going],
-    )
+    values, whole = values / size, terms_of(steps.features[going])
+    targets, fold = steps.rewards[going], steps.fold[going]
     found = []
     for form in (1, 3):
         used = whole[:, _columns(form, n)]
@@ -373,14 +346,8 @@ def _trained(features: Array, targets: Array) -> tuple[Array, Array, Array]:
     step[columns] = _solved(terms.T @ terms, terms.T @ targets[rows], RIDGES[0], len(rows))
     left = targets[rows] - polynomial(step, x)
     size = max(float(left.std()), 1e-12)
-    law = MLPRegressor(
-        hidden_layer_sizes=(UNITS,),
-        activation="tanh",
-        solver="lbfgs",
-        alpha=WEIGHT_PENALTY,
-        max_iter=ITERATIONS,
-        random_state=0,
-    )
+    settings = {"activation": "tanh", "solver": "lbfgs", "alpha": WEIGHT_PENALTY, "max_iter": ITERATIONS}
+    law = MLPRegressor(hidden_layer_sizes=(UNITS,), **settings, random_state=0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         law.fit(x, left / size)

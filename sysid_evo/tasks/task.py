@@ -72,6 +72,9 @@ class Task(ABC):
     needs_recording: bool = False
     """Whether the reward is learned from a recording before controllers are evolved, see `learn`."""
 
+    pays_at_limit: bool = False
+    """Whether the last step has a reward of its own, which trials that are shorter than the default never get."""
+
     horizon: int
     worst: float = 0.0
     rest_is_zero: bool = False

@@ -19,6 +19,7 @@ from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.errors import IncompatibleTask
 from sysid_evo.evolution import ControllerEvolution, load_champion
+from sysid_evo.evolution.margins import with_horizon
 from sysid_evo.models.base import make_model
 from sysid_evo.plan import Cell, Store
 from sysid_evo.randomness import trial_seeds
@@ -112,6 +113,25 @@ def test_a_task_that_has_learned_nothing_and_cannot_ask_says_what_to_do():
     assert task.needs_recording
     with pytest.raises(IncompatibleTask, match=r"must be learned from a recording.*learn_task.*--plugin FILE"):
         task.kernel()
+
+
+@pytest.mark.parametrize(("name", "ends"), [("Arrival-v0", False), ("Walled-v0", True)])
+def test_a_reward_at_the_time_limit_is_paid_there_and_in_no_shorter_trial(name, ends):
+    robot = robot_of(name)
+    spec, data = learned(robot, 8000)
+    made = make_task(spec)
+    assert made.pays_at_limit
+    check_task("environment", robot.system, **spec.parameters, horizon=50)
+    controller, parameters = network(made, robot.system, candidates=8)
+    model, seeds = make_model("linear").fit(data), trial_seeds(3, 5)
+    own, paid = (one.bind(controller, made)(parameters, seeds) for one in (DynamicsRunner(model), robot.runner()))
+    assert (paid.survived < 50).any() == ends
+    assert np.median(np.abs(own.fitness - paid.fitness)) < 0.1 * paid.fitness.std()
+    short = make_task(with_horizon(spec, 49))
+    own, paid = (one.bind(controller, short)(parameters, seeds) for one in (DynamicsRunner(model), robot.runner()))
+    whole = paid.survived == 49
+    np.testing.assert_array_equal(paid.fitness[whole], 0.0)
+    np.testing.assert_allclose(own.fitness[whole & (own.survived == 49)], 0.0, atol=1e-6)
 
 
 class Held(environments.Slider):

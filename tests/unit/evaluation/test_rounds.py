@@ -171,6 +171,7 @@ def test_the_evolution_looks_beyond_the_end_of_the_best_judged_episodes():
     assert search_horizon([low, made(2, level, level, steps=[5, 5, *ends])], 1000) == 420  # two are not judged
     assert search_horizon([low, made(2, level, level, steps=ends)], 400) == 400
     assert search_horizon([low, made(2, level, level, steps=[30, 40, 20])], 1000) == 120
+    assert search_horizon([made(2, level, level, steps=[50, 50, 60]), low], 1000, 400) == 400
 
 
 def test_the_evolution_looks_no_farther_where_nothing_ends_episodes():
@@ -186,6 +187,7 @@ def test_evolutions_with_trials_of_more_than_240_steps_count_as_several():
     assert searches([falls], 1000) == 2.0
     assert searches([falls, lasts], 1000) == 4.0  # 480 steps
     assert searches([falls, lasts, falls], 1000) == 6.0
+    assert searches([falls, falls], 480, 480) == 6.0
 
 
 @pytest.mark.parametrize(("lasts", "fewest", "episodes"), [(30, 3, 10), (150, 3, 7), (400, 3, 3), (1000, 4, 4)])

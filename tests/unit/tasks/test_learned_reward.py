@@ -12,10 +12,14 @@ from sysid_evo.tasks.learned_reward import LearnedReward, distance_values, terms
 from sysid_evo.tasks.reward_fit import fit_reward
 
 SYSTEM = System((Channel("x"), Channel("v")), (Channel("u", low=-1.0, high=1.0),), 0.1)
+PERIODIC = Channel("v", period=2.0 * np.pi)
 
 
-def made(reward, ends=None, last=None, episodes=40, steps=60, seed=0, system=SYSTEM):
-    """Return episodes of a block that is pushed, with ``reward(x, u, x')``, ended where ``ends(x')``."""
+def made(reward, ends=None, last=None, episodes=40, steps=60, seed=0, system=SYSTEM, late=None):
+    """Return episodes of a block that is pushed, with ``reward(x, u, x')``, ended where ``ends(x')``.
+
+    Those that do not end have ``late(x')`` in their last step.
+    """
     rng, found = np.random.default_rng(seed), []
     for number in range(episodes):
         states, controls, rewards, ending = [rng.uniform(-1.0, 1.0, 2)], [], [], "truncated"
@@ -29,6 +33,8 @@ def made(reward, ends=None, last=None, episodes=40, steps=60, seed=0, system=SYS
             if over:
                 ending = "terminated"
                 break
+        if late and ending == "truncated":
+            rewards[-1] = late(states[-1])
         found.append(
             Trajectory(np.array(states), np.array(controls), 0.1, name=f"{number}", rewards=rewards, ending=ending)
         )
@@ -87,6 +93,59 @@ def test_where_the_data_stop_or_the_time_is_up_nothing_ends():
     learned, quality = fit_reward(made(lambda *_: 1.0))
     assert quality.ends == 0
     assert judged(learned, [100.0, 0.0], [0.0], [100.0, 0.0]) == (1.0, False)
+
+
+def nearness(after):
+    return 3.0 - 2.0 * after[0] + 0.5 * after[1]
+
+
+def test_a_reward_at_the_time_limit_alone_is_learned_apart():
+    data = made(quadratic, late=nearness)
+    learned, quality = fit_reward(data, 60)
+    assert quality.error < 2e-3
+    assert quality.late_error < 2e-3
+    assert not quality.warning
+    assert "Reward at the time limit, which differs: linear of the state reached" in quality.sentences[1]
+    x, u, after = np.array([0.4, -0.5]), np.array([0.3]), np.array([0.35, -0.2])
+    assert judged(learned, x, u, after)[0] == pytest.approx(quadratic(x, u, after), abs=5e-3)
+    assert judged(learned.late, x, u, after)[0] == pytest.approx(nearness(after), abs=1e-2)
+
+
+def test_a_reward_at_the_time_limit_is_learned_where_other_episodes_end_before():
+    walls = {"ends": lambda after: abs(after[0]) > 1.5, "last": lambda after: -10.0}
+    learned, quality = fit_reward(made(lambda *_: 0.0, **walls, late=nearness, steps=15, episodes=80), 15)
+    assert quality.late_error < 2e-3
+    assert quality.found > 0.95
+    assert judged(learned, [1.4, 2.0], [0.0], [1.6, 1.9]) == (-10.0, True)
+    assert judged(learned.late, [1.4, 2.0], [0.0], [1.6, 1.9]) == (-10.0, True)
+    assert judged(learned.late, [0.4, 0.0], [0.0], [0.4, 0.0])[0] == pytest.approx(2.2, abs=1e-2)
+
+
+@pytest.mark.parametrize("limit", [50, 0])
+def test_the_last_step_of_episodes_that_end_before_the_time_limit_is_as_any_other(limit):
+    learned, quality = fit_reward(made(quadratic), limit)
+    assert learned.late is None
+    assert not quality.forms[3]
+
+
+def test_the_last_step_is_as_any_other_where_it_is_paid_so():
+    learned, quality = fit_reward(made(quadratic), 60)
+    assert learned.late is None
+    assert quality.error < 2e-3
+
+
+def test_parts_of_an_episode_are_as_long_as_the_whole():
+    data = made(quadratic, late=nearness, episodes=20)
+    parts = [part for episode in data for part in (episode[:40], episode[40:])]
+    learned, _ = fit_reward(data.with_episodes(parts), 60)
+    assert judged(learned.late, [0.4, 0.0], [0.0], [0.4, 0.0])[0] == pytest.approx(2.2, abs=1e-2)
+
+
+def test_few_last_steps_that_are_paid_otherwise_are_a_reward_that_is_badly_known():
+    learned, quality = fit_reward(made(quadratic, late=nearness, episodes=6), 60)
+    assert learned.late is None
+    assert quality.error < 2e-3
+    assert "in the step at the time limit" in quality.warning
 
 
 def test_a_crash_and_a_goal_are_told_apart_by_where_they_are():
@@ -182,6 +241,16 @@ def test_the_text_of_a_learned_reward_holds_all_of_it():
     for text in ("nothing", learned.to_text()[:-8], replace(learned, step=np.zeros(3)).to_text()):
         with pytest.raises(InvalidArgument, match="learned reward"):
             LearnedReward.from_text(text)
+
+
+def test_the_text_of_a_reward_at_the_time_limit_is_part_of_it():
+    learned, _ = fit_reward(made(quadratic, late=nearness), 60)
+    again = LearnedReward.from_text(learned.to_text())
+    for name, value in vars(learned.late).items():
+        np.testing.assert_array_equal(getattr(again.late, name), value)
+    other, _ = fit_reward(made(quadratic, system=replace(SYSTEM, states=(*SYSTEM.states[:1], PERIODIC))))
+    with pytest.raises(InvalidArgument, match="the one at the time limit has other features"):
+        LearnedReward.from_text(replace(learned, late=other).to_text())
 
 
 def test_without_rewards_nothing_is_learned_and_the_message_says_what_to_record():
