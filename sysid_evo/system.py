@@ -21,6 +21,7 @@ from sysid_evo.rigid_body import RigidBody
 from sysid_evo.types import Array, check_last, check_shape
 
 LOG = logging.getLogger(__name__)
+NEAR_LIMIT = 0.01
 
 
 @dataclass(frozen=True)
@@ -320,6 +321,18 @@ class System(Displayed):
     def limits(self) -> Array:
         """The lowest and highest value of each state, (2, nx), infinite where its channel has no limit."""
         return np.array([[c.low for c in self.states], [c.high for c in self.states]], dtype=np.float64)
+
+    def within(self, states: Array) -> System:
+        """Return this system without the limits that ``states`` (N, nx) exceed by over `NEAR_LIMIT` of their range."""
+        margin = NEAR_LIMIT * np.ptp(states, axis=0)
+        below, above = states.min(axis=0) < self.limits[0] - margin, states.max(axis=0) > self.limits[1] + margin
+        if not (below | above).any():
+            return self
+        channels = [
+            replace(channel, low=-np.inf if low else channel.low, high=np.inf if high else channel.high)
+            for channel, low, high in zip(self.states, below, above, strict=True)
+        ]
+        return replace(self, states=tuple(channels))
 
     @property
     def limited(self) -> bool:

@@ -14,10 +14,7 @@ import numpy as np
 
 from evaluation.cells.data import HoldOut
 from evaluation.prediction.cases import SECOND, PredictionProtocol, measured_cases
-from evaluation.prediction.scores import (
-    ConditionError,
-    ModelPrediction,
-)
+from evaluation.prediction.scores import ConditionError, ModelPrediction
 from evaluation.prediction.scoring import Persistence, condition_errors, score_model
 from evaluation.storage import result_of
 from sysid_evo.artefacts import CheckpointFile, Manifest, read_artefact

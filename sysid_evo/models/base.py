@@ -234,8 +234,8 @@ class DynamicsModel(Dynamics, ParameterAccess):
 
     def record(self, dataset: Dataset) -> None:
         """Record the system, the state bounds and a training sample of ``dataset``, as every `fit` does first."""
-        self.system_ = dataset.system
         states = np.concatenate([episode.states for episode in dataset.episodes])
+        self.system_ = dataset.system.within(states)
         self.state_bounds_ = training_bounds(states, self.bounds_multiple)
         for i in dataset.system.periods:
             self.state_bounds_[:, i] = -np.inf, np.inf
