@@ -227,7 +227,7 @@ class EnvironmentTask(Task):
     def learn(self, dataset: Dataset) -> LearnedTask:
         reward, quality = fit_reward(dataset, self.limit)
         settable = self.tried is not None and isinstance(self.tried.setter, StateSetter)
-        # an environment that is put into a state begins its time anew, and never pays what it pays at the limit
+        # an environment that is put into a state begins at time 0, and never pays what it pays at the limit
         exact = {"exact": True} if settable and not quality.forms[3] else {}
         return LearnedTask({"learned": reward.to_text()}, quality.sentences, quality.warning, exact)
 
