@@ -59,7 +59,7 @@ SEARCH_STEPS, BEYOND = 120, 1.2
 """Horizon of the evolution at least, and as a multiple of the steps for which the best controller so far lasts."""
 DEFAULT_ROUNDS, OF_MOVING = 16, 10
 """Most rounds by default, and those of a robot that moves; most comparisons end earlier, see `reason_to_end`."""
-MOST_SEARCHES = 20.0
+MOST_SEARCHES = 14.0
 """Most simulated steps of all evolutions, in those of one with `SEARCH_STEPS`: the rounds end in some ten minutes."""
 NEARER = 0.1
 """Factor of sigma in a search that continues a controller."""
