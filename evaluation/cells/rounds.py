@@ -256,33 +256,36 @@ class Round(CellSettings):
     def tried_again(self, summary: RoundsSummary, work: CellContext, system: System, goal: Spec) -> RoundsSummary:
         """Return ``summary`` with further episodes of the controllers that may be the best, and of controls at rest.
 
-        They are trials of ``goal``, as many as the steps left allow, up to `EPISODES_AGAIN` of each controller; as many
-        controllers are tried as have `FEWEST_EPISODES`.
+        They are trials of ``goal``, as many as surely fit into the steps left, up to `EPISODES_AGAIN` of each
+        controller. As many controllers are tried as have `FEWEST_EPISODES` if all last: without noise on the commands
+        they last longer than in their round.
         """
         if not summary.rounds:
             return summary
         robot, task = self.robot.runner(work, delay=0.0), make_task(goal)
-        near, left = rounds_to_try_again(summary.rounds), self.max_steps - summary.steps
-        longest = [int(np.max(one.judged_steps)) for one in near]
-        count = len(near)
-        while count and left // sum(longest[:count]) < FEWEST_EPISODES:
-            count -= 1
-        episodes = min(EPISODES_AGAIN, left // sum(longest[:count])) if count else FEWEST_EPISODES
-        seeds = trial_seeds(cell_seed(self.seed, "again"), episodes)
-
-        def run(controller: str, parameters: Array) -> Rollouts:
-            return robot.bind(make_controller(controller), task)(parameters[None], seeds)
-
-        runs = {one.number: run(one.controller, one.parameters) for one in near[:count]}
+        seeds, longest = trial_seeds(cell_seed(self.seed, "again"), EPISODES_AGAIN), task.bind(system).horizon
+        left = self.max_steps - summary.steps
+        near = rounds_to_try_again(summary.rounds)[: max(0, left) // (FEWEST_EPISODES * longest)]
+        drives = {one.number: robot.bind(make_controller(one.controller), task) for one in near}
+        fitness: dict[int, list[Array]] = {one.number: [] for one in near}
+        steps = episodes = 0
+        while near and episodes < EPISODES_AGAIN and steps + len(near) * longest <= left:
+            for one in near:
+                run = drives[one.number](one.parameters[None], seeds[episodes : episodes + 1])
+                fitness[one.number].append(run.fitness[0])
+                steps += int(run.survived.sum())
+            episodes += 1
         idle = Champion.baseline("constant", self.evolution.task, system)
+        rest = robot.bind(make_controller(idle.controller.text), task)
         return replace(
             summary,
             rounds=tuple(
-                replace(one, again=runs[one.number].fitness[0]) if one.number in runs else one for one in summary.rounds
+                replace(one, again=np.concatenate(fitness[one.number])) if one.number in fitness else one
+                for one in summary.rounds
             ),
-            rest=run(idle.controller.text, idle.parameters).fitness[0],
-            steps_again=sum(int(one.survived.sum()) for one in runs.values()),
-            whole=task.bind(system).horizon == make_task(self.evolution.task).bind(system).horizon,
+            rest=rest(idle.parameters[None], seeds[: max(episodes, FEWEST_EPISODES)]).fitness[0],
+            steps_again=steps,
+            whole=longest == make_task(self.evolution.task).bind(system).horizon,
         )
 
 
@@ -508,5 +511,5 @@ def _load(path: Path) -> RoundsSoFar:
     return RoundsSoFar(Dataset.load(path / "data"), load_result(RoundsSummary, path / "rounds"))
 
 
-CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=10)
+CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=11)
 CELL_KINDS["choose_round"] = CellKind(CONTROLLERS, version=4, tolerant=True)
