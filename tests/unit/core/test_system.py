@@ -173,6 +173,17 @@ def test_systems_differ_in_words_where_it_matters_to_a_controller(car):
     )
 
 
+def test_a_recording_shows_which_limits_are_none():
+    """Gymnasium declares a height of at most 2.5 for a lander that flies to 18."""
+    lander = System((Channel("height", low=-2.5, high=2.5), Channel("lamp", low=0.0, high=1.0)), [], dt=0.02)
+    inside = np.array([[0.0, 0.0], [2.52, 1.0]])  # up to noise
+    assert lander.within(inside) is lander
+    seen = lander.within(np.array([[0.0, 0.0], [18.0, 1.0]]))
+    np.testing.assert_array_equal(seen.limits, [[-2.5, 0.0], [np.inf, 1.0]])
+    below = lander.within(np.array([[0.0, -1.0], [0.0, 1.0]]))
+    np.testing.assert_array_equal(below.limits, [[-2.5, -np.inf], [2.5, 1.0]])
+
+
 def test_a_description_is_for_readers_alone():
     """It is stored, and changes neither what a channel is nor the fingerprint of data."""
     plain, described = (Channel("angle", "rad", description=text) for text in ("", "0 hanging"))
