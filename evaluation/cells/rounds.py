@@ -17,6 +17,7 @@ from evaluation.cells.plants import ROLLOUT_STEPS_PER_SECOND, Plant, fitted, lab
 from evaluation.experiment import Experiment, default_task
 from evaluation.rounds import (
     ERROR_STEPS,
+    MOST_AGAIN,
     SHORT_EPISODE,
     RecordingRound,
     RoundsSummary,
@@ -193,7 +194,8 @@ class Round(CellSettings):
         short = min(EPISODE_STEPS, whole)
         moves = dataset.system.motion is not None
         fewest = OF_BODIES if moves else FEWEST_EPISODES
-        kept = FEWEST_EPISODES * whole  # to try the best controller again
+        tried = MOST_AGAIN if self.noisy_share == 1.0 else 1  # noise hides which controller is the best
+        kept = (tried + FEWEST_EPISODES - 1) * whole  # to try them again
         episodes = min(ROUND_STEPS, self.max_steps - summary.steps - fewest * whole - kept) // short
         if summary.ended:
             return before
@@ -257,31 +259,36 @@ class Round(CellSettings):
         """Return ``summary`` with further episodes of the controllers that may be the best, and of controls at rest.
 
         They are trials of ``goal``, as many as surely fit into the steps left, up to `EPISODES_AGAIN` of each
-        controller. As many controllers are tried as have `FEWEST_EPISODES` if all last: without noise on the commands
-        they last longer than in their round.
+        controller. When they may no longer suffice for all, the worst so far is left out: without noise on the commands
+        one or two episodes show which controllers last. The best has `FEWEST_EPISODES` at least, or none is tried.
         """
         if not summary.rounds:
             return summary
         robot, task = self.robot.runner(work, delay=0.0), make_task(goal)
         seeds, longest = trial_seeds(cell_seed(self.seed, "again"), EPISODES_AGAIN), task.bind(system).horizon
         left = self.max_steps - summary.steps
-        near = rounds_to_try_again(summary.rounds)[: max(0, left) // (FEWEST_EPISODES * longest)]
-        drives = {one.number: robot.bind(make_controller(one.controller), task) for one in near}
-        fitness: dict[int, list[Array]] = {one.number: [] for one in near}
+        near = {one.number: one for one in rounds_to_try_again(summary.rounds)}
+        drives = {number: robot.bind(make_controller(one.controller), task) for number, one in near.items()}
+        fitness: dict[int, list[Array]] = {number: [] for number in near}
         steps = episodes = 0
-        while near and episodes < EPISODES_AGAIN and steps + len(near) * longest <= left:
-            for one in near:
-                run = drives[one.number](one.parameters[None], seeds[episodes : episodes + 1])
-                fitness[one.number].append(run.fitness[0])
+        while near and episodes < EPISODES_AGAIN:
+            kept = max(0, FEWEST_EPISODES - episodes - 1)  # further episodes of the best
+            if steps + (len(near) + kept) * longest > left:
+                means = {number: float(np.mean(fitness[number])) if episodes else 0.0 for number in near}
+                del near[min(reversed(near), key=lambda number: means[number])]  # of equals the last
+                continue
+            for number, one in near.items():
+                run = drives[number](one.parameters[None], seeds[episodes : episodes + 1])
+                fitness[number].append(run.fitness[0])
                 steps += int(run.survived.sum())
             episodes += 1
+        again = {number: np.concatenate(runs) for number, runs in fitness.items() if len(runs) >= FEWEST_EPISODES}
         idle = Champion.baseline("constant", self.evolution.task, system)
         rest = robot.bind(make_controller(idle.controller.text), task)
         return replace(
             summary,
             rounds=tuple(
-                replace(one, again=np.concatenate(fitness[one.number])) if one.number in fitness else one
-                for one in summary.rounds
+                replace(one, again=again[one.number]) if one.number in again else one for one in summary.rounds
             ),
             rest=rest(idle.parameters[None], seeds[: max(episodes, FEWEST_EPISODES)]).fitness[0],
             steps_again=steps,
@@ -511,5 +518,5 @@ def _load(path: Path) -> RoundsSoFar:
     return RoundsSoFar(Dataset.load(path / "data"), load_result(RoundsSummary, path / "rounds"))
 
 
-CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=11)
+CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=12)
 CELL_KINDS["choose_round"] = CellKind(CONTROLLERS, version=4, tolerant=True)

@@ -283,7 +283,7 @@ def test_after_the_end_a_round_changes_nothing_and_without_steps_left_there_is_n
     over = replace(first, summary=replace(first.summary, ended="it ended"))
     step = replace(planned.settings, previous=0)
     assert step.compute(Work(over)) is over
-    for recorded in (900, 700):  # 3 whole episodes of 50 steps are kept to try the best again
+    for recorded in (900, 500):  # 6 whole episodes of 50 steps are kept to try the best again
         spent = step.compute(Work(replace(first, summary=replace(first.summary, first=recorded)))).summary
         assert (spent.rounds, spent.ended) == ((), "1000 recorded steps are the most")
 
@@ -369,11 +369,22 @@ def test_those_are_tried_again_that_may_be_the_best_the_latest_of_equals_first()
     ] == [1]
 
 
-@pytest.mark.parametrize(("left", "tried", "episodes"), [(9000, 2, 20), (4000, 2, 16), (2000, 1, 16), (1400, 0, 3)])
-def test_the_steps_left_decide_how_many_controllers_are_tried_again_and_in_how_many_episodes(left, tried, episodes):
+@pytest.mark.parametrize(
+    ("left", "better", "first", "second"),
+    [
+        (9000, 2.0, 20, 20),
+        (4000, 2.0, 20, 16),
+        (2000, 2.0, 10, 6),
+        (2000, 1.0, 6, 10),
+        (1600, 1.0, 12, 0),
+        (1400, 2.0, 0, 0),
+    ],
+)
+def test_the_steps_left_decide_how_many_controllers_are_tried_again_and_the_worst_is_left_out(
+    left, better, first, second
+):
     planned, *_ = plan_comparison(Experiment(robot=ROBOT, rounds=2, max_steps=10_000)).plan.of_kind("round")
-    first = 10_000 - 200 * 2 - left  # two rounds of two episodes of 100 steps
-    again, seeds = [], []
+    driven = {0.0: [], 1.0: [], 2.0: []}  # at rest, the first and the second round
 
     class Cart:
         def runner(self, work, *, delay):
@@ -381,21 +392,23 @@ def test_the_steps_left_decide_how_many_controllers_are_tried_again_and_in_how_m
 
         def bind(self, law, task):
             def drive(parameters, trials):
-                again.append(float(parameters[0, 0]) if parameters.size else 0.0)
-                seeds.append(trials)
+                which = float(parameters[0, 0]) if parameters.size else 0.0
+                driven[which] += trials.tolist()
                 lasts = np.full((1, len(trials)), 100)
-                return Rollouts(fitness=lasts / 10.0, survived=lasts, clipped=None, task_state=None, engine="")
+                fitness = lasts / 10.0 + (1.0 if which == better else 0.0)
+                return Rollouts(fitness=fitness, survived=lasts, clipped=None, task_state=None, engine="")
 
             return drive
 
     settings = replace(planned.settings, robot=Cart(), max_steps=10_000)
-    summary = RoundsSummary(first, 80, (made(1, [9.0] * 2, [9.0] * 2), made(2, [9.0] * 2, [9.0] * 2)))
+    rounds = (made(1, [9.0] * 2, [9.0] * 2), made(2, [9.0] * 2, [9.0] * 2))  # two episodes of 100 steps each
+    summary = RoundsSummary(10_000 - 400 - left, 80, rounds)
     found = settings.tried_again(summary, None, system(), Spec.parse('environment(id="CartPole-v1")'))
-    assert again == [*([2.0, 1.0][:tried] * episodes if tried else []), 0.0]  # the last is at rest
-    assert seeds[-1].tolist() == [one for trials in seeds[: -1 : max(tried, 1)] for one in trials] or not tried
-    assert len(seeds[-1]) == episodes
-    assert [one.again is not None for one in found.rounds] == [tried > 1, tried > 0]
-    assert found.steps_again == tried * episodes * 100
+    assert (len(driven[2.0]), len(driven[1.0])) == (first, second)
+    assert [one.again is not None for one in found.rounds] == [second > 0, first > 0]
+    assert found.steps_again == (first + second) * 100
+    episodes = max(first, second, 3)
+    assert driven[0.0][: min(first, second)] == driven[1.0][: min(first, second)]  # in the same trials
     assert found.rest.tolist() == [10.0] * episodes
     assert found.steps <= 10_000
     assert found.whole
