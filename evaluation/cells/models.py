@@ -275,7 +275,7 @@ def _save(value: DynamicsModel, path: Path, cell: Cell[Fit | StoredModelCell]) -
 
 
 MODELS = ResultType("models", _save, load_model)
-CELL_KINDS["fit"] = CELL_KINDS["model"] = CellKind(MODELS, version=5)
+CELL_KINDS["fit"] = CELL_KINDS["model"] = CellKind(MODELS, version=6)
 CELL_KINDS["predict"] = CellKind(result_of(ModelPrediction), version=3)
 CELL_KINDS["score"] = CellKind(result_of(HeldOutScore), version=2)
 CELL_KINDS["conditions"] = CellKind(result_of(tuple[ConditionError, ...]), version=3)

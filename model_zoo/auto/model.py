@@ -43,9 +43,9 @@ class Auto(MeanModel):
     a lower held-out error, but candidates that are not significantly worse than the best stay (paired bootstrap). The
     best candidate of each model class always stays within ``class_cutoff`` times the lowest error, over all folds and
     in the geometric mean of the folds, since models of another structure fail elsewhere. A good state space is replaced
-    by a version with longer training and a good Gaussian process by the average of three, if that is better; both are
-    tried before other candidates. The candidates that are kept are refitted to all data; state spaces are averaged with
-    those fitted without each fold, except much worse ones.
+    by a version with longer training and a good Gaussian process by the average of three, unless that is significantly
+    worse; both are tried before other candidates. The candidates that are kept are refitted to all data; state spaces
+    are averaged with those fitted without each fold, except much worse ones.
 
     The weight of a model class (networks with lags, networks without, polynomials, neighbours, physics, state spaces)
     is the square root of the number of its members, which share it equally. Every member starts each step from the mean

@@ -31,7 +31,7 @@ REFINE_FACTOR = 2.0
 
 UNTRIED = "skipped: the budget was used for other candidates"
 BASE_BEHIND = "skipped: the shorter version of it was not close to the best"
-REPLACED = "replaced by its longer version, which is at least as good"
+REPLACED = "replaced by its longer version, which is not significantly worse"
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class CandidateSelection:
             errors[number], reasons[number] = error, reason
         usable = {n: error for n, error in enumerate(errors) if error is not None and not reasons[n]}
         for better, number in self._refined.items():
-            if better in usable and number in usable and usable[better].mean <= usable[number].mean:
+            if better in usable and number in usable and not usable[better].above(usable[number]).low > 0.0:
                 reasons[number] = REPLACED
                 del usable[number]
         self._expect(len(usable) > 0, reasons)

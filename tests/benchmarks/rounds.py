@@ -1,14 +1,17 @@
 """Default comparisons and reinforcement learning: ``python -m tests.benchmarks.rounds --out FOLDER``.
 
-For each of ``--ids`` and ``--seeds`` the default comparison is made in a folder of its own in ``FOLDER``; finished ones
-are not repeated. Returns are means over ``--trials`` episodes in a loop of ``env.step``: of the exported Python file of
-the recommended controller, of SAC after as many steps of the environment (PPO for discrete actions), of a controller of
-the same kind after ``--generations`` generations on the environment itself, and of controls at rest.
+For each of ``--ids`` and ``--seeds`` the default comparison is made in a folder of its own in ``FOLDER``. Returns are
+means over ``--trials`` episodes in a loop of ``env.step``: of the exported Python file of the recommended controller,
+of controls at rest, and of what ``--beside`` names: ``learned`` is SAC after as many steps of the environment (PPO for
+discrete actions), ``environment`` a controller of the same kind after ``--generations`` generations on the environment
+itself. What was measured stands in ``figures.json`` of each folder and is not measured again.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
+import json
 import runpy
 import sys
 import time
@@ -82,6 +85,45 @@ def evolved(champion: Champion, robot: GymnasiumRobot, generations: int, seed: i
     return evolve_controller("environment", {"environment": robot.runner()}, robot.system, settings, seed=seed)
 
 
+def compared(name: str, folder: Path, seed: int, trials: int) -> dict[str, Any]:
+    """Make the default comparison for the environment ``name`` in ``folder``, and return its figures."""
+    began = time.perf_counter()
+    report = compare(out=folder, robot=f'gymnasium(id="{name}")', seed=seed)
+    clock = time.perf_counter() - began
+    assert report.transfer is not None
+    assert report.transfer.pick is not None
+    file = folder / report.controllers[report.transfer.pick]
+    champion = load_champion(file.with_suffix(""))
+    rest = Champion.baseline("constant", champion.task, GymnasiumRobot(id=name).system)
+    found = returns(exported(champion, folder / "recommended.py"), name, trials)
+    return {
+        "file": str(file.relative_to(folder)),
+        "controller": champion.controller.text,
+        "steps": sum(episode.steps for part in (report.data.training, report.data.test) for episode in part),
+        "rounds": None if report.rounds is None else len(report.rounds.rounds),
+        "return": float(np.mean(found)),
+        "lowest": min(found),
+        "rest": float(np.mean(returns(exported(rest, folder / "rest.py"), name, trials))),
+        "clock": clock,
+    }
+
+
+def measured(name: str, folder: Path, seed: int, given: argparse.Namespace) -> dict[str, Any]:
+    """Return the figures of one row: those of ``figures.json``, and those that are asked for and not there yet."""
+    file = folder / "figures.json"
+    figures: dict[str, Any] = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    if not figures:
+        figures |= compared(name, folder, seed, given.trials)
+    if "learned" in given.beside and "learned" not in figures:
+        figures["learned"] = float(np.mean(returns(learned(name, figures["steps"], seed), name, given.trials)))
+    if "environment" in given.beside and "environment" not in figures:
+        like = load_champion((folder / figures["file"]).with_suffix(""))
+        own = exported(evolved(like, GymnasiumRobot(id=name), given.generations, seed), folder / "environment.py")
+        figures["environment"] = float(np.mean(returns(own, name, given.trials)))
+    file.write_text(json.dumps(figures, indent=1), encoding="utf-8")
+    return figures
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark from the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -89,44 +131,22 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--ids", default=",".join(IDS))
     parser.add_argument("--seeds", default="0")
     parser.add_argument("--trials", type=int, default=40)
+    parser.add_argument("--beside", nargs="*", choices=("learned", "environment"), default=())
     parser.add_argument("--generations", type=int, default=60)
     add_markdown(parser)
     given = parser.parse_args(arguments)
     heads = (
-        "environment", "seed", "recorded steps", "rounds", "controller", "return", "lowest", "SAC or PPO",
-        "evolved on the environment", "rest", "comparison, s",
+        "environment", "seed", "recorded steps", "rounds", "controller", "return", "lowest", "rest", "SAC or PPO",
+        "evolved on the environment", "comparison, s",
     )  # fmt: skip
     table = Table(*heads, title=f"default settings, {given.trials} episodes", box=None)
-    for name in given.ids.split(","):
-        robot = GymnasiumRobot(id=name)
-        for seed in map(int, given.seeds.split(",")):
-            folder, began = given.out / f"{name}-{seed}", time.perf_counter()
-            report = compare(out=folder, robot=f'gymnasium(id="{name}")', seed=seed)
-            clock = time.perf_counter() - began
-            assert report.transfer is not None
-            assert report.transfer.pick is not None
-            champion = load_champion((folder / report.controllers[report.transfer.pick]).with_suffix(""))
-            parts = (report.data.training, report.data.test)
-            steps = sum(part.n_steps for part in parts if part is not None)
-            rest, own = (
-                Champion.baseline("constant", champion.task, robot.system),
-                evolved(champion, robot, given.generations, seed),
-            )
-            figures = [
-                returns(begin, name, given.trials)
-                for begin in (
-                    exported(champion, folder / "recommended.py"),
-                    learned(name, steps, seed),
-                    exported(own, folder / "environment.py"),
-                    exported(rest, folder / "rest.py"),
-                )
-            ]
-            means = [f"{np.mean(one):.1f}" for one in figures]
-            rounds = "–" if report.rounds is None else str(len(report.rounds.rounds))
-            table.add_row(
-                name, str(seed), str(steps), rounds, champion.controller.text, means[0], f"{min(figures[0]):.1f}",
-                *means[1:], f"{clock:.0f}",
-            )  # fmt: skip
+    for name, seed in itertools.product(given.ids.split(","), map(int, given.seeds.split(","))):
+        row = measured(name, given.out / f"{name}-{seed}", seed, given)
+        shown = (row.get(key) for key in ("return", "lowest", "rest", "learned", "environment"))
+        table.add_row(
+            name, str(seed), str(row["steps"]), str(row["rounds"] or "–"), row["controller"],
+            *("–" if value is None else f"{value:.4g}" for value in shown), f"{row['clock']:.0f}",
+        )  # fmt: skip
     print_tables([table], given.markdown)
     return 0
 
