@@ -194,8 +194,8 @@ class Round(CellSettings):
         short = min(EPISODE_STEPS, whole)
         moves = dataset.system.motion is not None
         fewest = OF_BODIES if moves else FEWEST_EPISODES
-        tried = MOST_AGAIN if self.noisy_share == 1.0 else 1  # noise hides which controller is the best
-        kept = (tried + FEWEST_EPISODES - 1) * whole  # to try them again
+        always_noisy = self.noisy_share == 1.0  # hides which controller is the best: steps are kept to try them again
+        kept = (MOST_AGAIN + FEWEST_EPISODES - 1) * whole if always_noisy else 0
         episodes = min(ROUND_STEPS, self.max_steps - summary.steps - fewest * whole - kept) // short
         if summary.ended:
             return before
@@ -518,5 +518,5 @@ def _load(path: Path) -> RoundsSoFar:
     return RoundsSoFar(Dataset.load(path / "data"), load_result(RoundsSummary, path / "rounds"))
 
 
-CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=12)
+CELL_KINDS["round"] = CellKind(ResultType("rounds", _save, _load), version=13)
 CELL_KINDS["choose_round"] = CellKind(CONTROLLERS, version=4, tolerant=True)

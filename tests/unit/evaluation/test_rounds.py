@@ -35,7 +35,7 @@ from evaluation.rounds import (
 from evaluation.running import with_further_families
 from sysid_evo.data import Dataset
 from sysid_evo.engine import Rollouts
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import DataWarning, InvalidArgument
 from sysid_evo.evolution import ControllerEvolution
 from sysid_evo.evolution.margins import with_horizon
 from sysid_evo.plan import Store
@@ -286,6 +286,17 @@ def test_after_the_end_a_round_changes_nothing_and_without_steps_left_there_is_n
     for recorded in (900, 500):  # 6 whole episodes of 50 steps are kept to try the best again
         spent = step.compute(Work(replace(first, summary=replace(first.summary, first=recorded)))).summary
         assert (spent.rounds, spent.ended) == ((), "1000 recorded steps are the most")
+
+
+def test_no_steps_are_kept_where_judged_episodes_have_no_noise():
+    """400 steps are left: enough for three judged episodes of 50 steps and others, but not for six more."""
+    data = Dataset.from_arrays(system(), [np.zeros((81, 4))], [np.zeros((80, 1))])
+    planned, *_ = plan_comparison(Experiment(robot=ROBOT, rounds=2, max_steps=1000)).plan.of_kind("round")
+    begun = RoundsSoFar(data, RoundsSummary(first=600, first_episode=80))
+    noisy = replace(planned.settings, previous=0)
+    assert noisy.compute(Work(begun)).summary.ended
+    with pytest.raises(DataWarning, match="learns nothing"):  # the round is made, with this recording
+        replace(noisy, noisy_share=0.5).compute(Work(begun))
 
 
 def test_a_model_that_is_right_has_no_error_ahead():
