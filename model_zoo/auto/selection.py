@@ -19,7 +19,7 @@ from sysid_evo.models.ensemble import MeanModel
 from sysid_evo.models.sanity import SanityCheck
 from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.acceptance import MIN_ERROR, inside
-from sysid_evo.validation.simulation_error import Errors, Scorer
+from sysid_evo.validation.simulation_error import Errors, Scorer, long_test
 
 MAX_DIVERGED = 0.05
 """Largest share of a candidate's simulations that may end at its state bounds."""
@@ -28,6 +28,9 @@ DROP_FACTOR = 1.25
 
 REFINE_FACTOR = 2.0
 """A candidate may be refined if its error in the first fold is at most this multiple of the lowest."""
+
+ASTRAY_FACTOR = 2.0
+"""A candidate near the best is dropped if its error in long simulations exceeds this multiple of the lowest."""
 
 UNTRIED = "skipped: the budget was used for other candidates"
 BASE_BEHIND = "skipped: the shorter version of it was not close to the best"
@@ -92,6 +95,9 @@ class CandidateSelection:
             for number, reason in useless.items():
                 reasons[number] = reason
                 del usable[number]
+        for number, reason in self._astray(rough, usable).items():
+            reasons[number] = reason
+            del usable[number]
 
         def models(number: int) -> list[DynamicsModel]:
             return [outcome.model for outcome in rough[number] if outcome.model is not None]
@@ -137,6 +143,29 @@ class CandidateSelection:
             if reason := check.warning(*models):
                 found[number] = reason
         return found
+
+    def _astray(self, rough: Mapping[int, Sequence[FitOutcome]], usable: Mapping[int, Errors]) -> dict[int, str]:
+        """Return those of the candidates near the best that are far worse in long simulations, with the reasons.
+
+        The models fitted without each fold are simulated through the whole data, two thirds of which they know.
+        """
+        horizons = self.scorer.trials[0].horizons
+        test = long_test(self.dataset, horizons, self.scorer.trials[0].windows.past_controls.shape[1])
+        best = min(error.mean for error in usable.values())
+        near = [number for number, error in usable.items() if error.mean <= REFINE_FACTOR * best]
+        if test is None or len(near) < 2:
+            return {}
+        long = replace(self.scorer, trials=(test,) * len(self.pairs))
+        found = {}
+        for number in near:
+            self.work.report_alive()
+            found[number] = long.errors([test.run(one.model) for one in rough[number] if one.model is not None]).mean
+        lowest = max(min(found.values()), MIN_ERROR)
+        return {
+            number: f"{error / lowest:.1f} x the lowest error in simulations of up to {max(test.horizons)} steps"
+            for number, error in found.items()
+            if error > ASTRAY_FACTOR * lowest
+        }
 
     def _fits(self, numbers: Iterable[int], folds: Iterable[int]) -> dict[tuple[int, int], FitOutcome]:
         return self.work.outcomes([self._task(number, fold) for number, fold in product(numbers, folds)])

@@ -235,6 +235,8 @@ BLOCK_SHARE = 3
 DECAYED = np.exp(-1.0)
 MOST_STEPS = 200_000
 """Steps simulated in a fold at most; there are fewer windows if they are long, so that a test takes seconds."""
+MOST_LONG = 10
+"""Long simulations have 1 / this of these steps."""
 
 
 def selection_horizons(dataset: Dataset, pairs: list[tuple[Dataset, Dataset]]) -> list[int]:
@@ -255,6 +257,24 @@ def held_out_tests(pairs: list[tuple[Dataset, Dataset]], horizons: Sequence[int]
     history = history_of(pairs, horizons)
     most = min(MOST_TESTED, max(1, MOST_STEPS // max(horizons)))
     return [HeldOutTest.of(held, horizons, history, most) for _, held in pairs]
+
+
+BEYOND, LONGEST, POINTS = 4, 1000, 20
+"""Recordings this many times as long as the longest horizon are simulated further, up to so many steps, with errors at
+so many of them."""
+
+
+def long_test(dataset: Dataset, horizons: Sequence[int], history: int) -> HeldOutTest | None:
+    """Return a test of long simulations through the whole data; None if no recording is far longer than ``horizons``.
+
+    Held-out blocks of time are short: only long simulations show a model that drifts or ends far off.
+    """
+    longest = max(len(episode) for episode in dataset) - history - 1
+    if longest < BEYOND * max(horizons):
+        return None
+    steps = min(longest, LONGEST)
+    after = np.unique(np.linspace(0.0, steps, POINTS + 1)[1:].astype(int))
+    return HeldOutTest.of(dataset, after.tolist(), history, max(1, MOST_STEPS // (MOST_LONG * steps)))
 
 
 def response_steps(dataset: Dataset) -> int:
