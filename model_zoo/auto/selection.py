@@ -297,6 +297,10 @@ AS_GOOD = 0.01
 """Share of the lowest error by which the mean of more candidates may be worse than that of fewer."""
 
 
+LEADER_COST = 0.05
+"""Share by which the best of other classes, which help in other conditions, may increase the error of the mean."""
+
+
 @dataclass(frozen=True)
 class CutoffComparison:
     """The ``cutoff`` that was chosen, and the error of the mean of all candidates within each one compared."""
@@ -339,22 +343,28 @@ def chosen(
     """Return the numbers of the candidates that are kept, and the comparison of the cutoffs.
 
     The cutoff is the widest whose mean has an error (``mean_error``) within 1 % of the lowest. ``ties``, candidates not
-    significantly worse than the best, are kept within the widest cutoff, and ``leaders`` always (`class_leaders`).
+    significantly worse than the best, are kept within the widest cutoff, and ``leaders`` (`class_leaders`) if the error
+    of the mean is at most `LEADER_COST` higher with them.
     """
-    cutoffs = [1.0 + share * (cutoff - 1.0) for share in NARROWER]
     widest = inside(errors, cutoff)
-    groups = {
-        one: sorted({*leaders, *(number for number in widest if number in ties or number in inside(errors, one))})
-        for one in cutoffs
-    }
     found: dict[tuple[int, ...], float] = {}
-    for group in groups.values():
-        if tuple(group) not in found:
-            found[tuple(group)] = errors[group[0]] if len(group) == 1 else mean_error(group)
-    compared = {one: found[tuple(group)] for one, group in groups.items()}
-    lowest = min(compared.values())
-    taken = next(one for one, error in compared.items() if error <= (1.0 + AS_GOOD) * lowest)
-    return groups[taken], CutoffComparison(taken, tuple(compared.items()))
+
+    def narrowed(always: Collection[int]) -> tuple[list[int], CutoffComparison]:
+        groups = {}
+        for one in (1.0 + share * (cutoff - 1.0) for share in NARROWER):
+            within = inside(errors, one)
+            group = groups[one] = tuple(sorted({*always, *(n for n in widest if n in ties or n in within)}))
+            if group not in found:
+                found[group] = errors[group[0]] if len(group) == 1 else mean_error(list(group))
+        compared = {one: found[group] for one, group in groups.items()}
+        lowest = min(compared.values())
+        taken = next(one for one, error in compared.items() if error <= (1.0 + AS_GOOD) * lowest)
+        return list(groups[taken]), CutoffComparison(taken, tuple(compared.items()))
+
+    group, passed = narrowed(leaders)
+    others, passed_others = narrowed(())
+    kept = found[tuple(group)] <= (1.0 + LEADER_COST) * found[tuple(others)]
+    return (group, passed) if kept else (others, passed_others)
 
 
 def affordable(costs: Mapping[int, float], left: float) -> list[int]:

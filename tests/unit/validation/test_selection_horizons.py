@@ -9,6 +9,7 @@ from sysid_evo.validation.folds import make_folds
 from sysid_evo.validation.simulation_error import (
     MOST_STEPS,
     held_out_tests,
+    long_test,
     response_steps,
     selection_horizons,
 )
@@ -72,3 +73,18 @@ def test_slow_responses_are_compared_later():
 def test_long_simulations_start_from_fewer_samples(horizon, windows):
     data = recorded([8000, 8000], 4.0)
     assert [len(test.windows) for test in held_out_tests(make_folds(data, 2), [10, horizon])] == [windows, windows]
+
+
+def test_long_simulations_go_through_the_whole_data_if_a_recording_is_far_longer_than_the_horizons():
+    data = recorded([1000, 300], 4.0)
+    test = long_test(data, [10, 60], history=20)
+    assert test is not None
+    assert (len(test.horizons), test.horizons[0], max(test.horizons)) == (20, 48, 979)
+    assert set(test.windows.episode) == {0}
+    assert max(long_test(recorded([9000], 4.0), [10, 60], 20).horizons) == 1000
+    assert long_test(data, [10, 60, 245], history=20) is None, "4 x 245 > 979"
+
+
+def test_long_simulations_are_a_tenth_of_those_in_a_fold():
+    test = long_test(recorded([20_000], 4.0), [10, 60], 20)
+    assert len(test.windows) * max(test.horizons) == MOST_STEPS // 10
