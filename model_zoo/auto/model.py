@@ -38,17 +38,16 @@ class Auto(MeanModel):
     ``horizons`` steps, averaged over states and horizons; by default these follow the slowest response and the length
     of the recordings (`selection_horizons`). A candidate that is far worse in the first fold (1.25 times the cutoff,
     and significantly) skips the others. Candidates that fail, diverge or do not pass the `SanityCheck` are dropped.
-    So are those that, fitted without each block of a long recording, have twice the lowest error in simulations of up
-    to 1000 steps through all of it.
+    So are those that have twice the lowest error in simulations of up to 1000 steps through all of a long recording.
 
     Others are kept within ``cutoff`` times the lowest error; the cutoff is reduced if the mean of fewer candidates has
     a lower held-out error, but candidates that are not significantly worse than the best stay (paired bootstrap). The
     best candidate of each model class stays within ``class_cutoff`` times the lowest error, over all folds and in the
     geometric mean of the folds, since models of another structure fail elsewhere, unless the error of the mean is 5 %
-    higher with them. A good state space is replaced
-    by a version with longer training and a good Gaussian process by the average of three, unless that is significantly
-    worse; both are tried before other candidates. The candidates that are kept are refitted to all data; state spaces
-    are averaged with those fitted without each fold, except much worse ones.
+    higher with them. A good state space is replaced by a version with longer training and a good Gaussian process by
+    the average of three, unless that is significantly worse; both are tried before other candidates. The candidates
+    that are kept are refitted to all data; state spaces are averaged with those fitted without each fold, except much
+    worse ones.
 
     The weight of a model class (networks with lags, networks without, polynomials, neighbours, physics, state spaces)
     is the square root of the number of its members, which share it equally. Every member starts each step from the mean
