@@ -260,14 +260,14 @@ def held_out_tests(pairs: list[tuple[Dataset, Dataset]], horizons: Sequence[int]
 
 
 BEYOND, LONGEST, POINTS = 4, 1000, 20
-"""Recordings this many times as long as the longest horizon are simulated further, up to so many steps, with errors at
-so many of them."""
+"""Recordings this many times as long as the longest horizon are simulated further: the most steps, and the number of
+them after which errors are computed."""
 
 
 def long_test(dataset: Dataset, horizons: Sequence[int], history: int) -> HeldOutTest | None:
     """Return a test of long simulations through the whole data; None if no recording is far longer than ``horizons``.
 
-    Held-out blocks of time are short: only long simulations show a model that drifts or ends far off.
+    Held-out blocks of time are short: only long simulations show a model that drifts.
     """
     longest = max(len(episode) for episode in dataset) - history - 1
     if longest < BEYOND * max(horizons):
