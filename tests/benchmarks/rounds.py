@@ -2,7 +2,7 @@
 
 For each of ``--ids`` and ``--seeds`` the default comparison is made in a folder of its own in ``FOLDER``. Returns are
 means over ``--trials`` episodes in a loop of ``env.step``: of the exported Python file of the recommended controller,
-of controls at rest, and of what ``--beside`` names: ``learned`` is SAC after as many steps of the environment (PPO for
+of controls at rest, and of the ``--references``: ``learned`` is SAC after as many steps of the environment (PPO for
 discrete actions), ``environment`` a controller of the same kind after ``--generations`` generations on the environment
 itself. What was measured stands in ``figures.json`` of each folder and is not measured again.
 """
@@ -114,9 +114,9 @@ def measured(name: str, folder: Path, seed: int, given: argparse.Namespace) -> d
     figures: dict[str, Any] = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
     if not figures:
         figures |= compared(name, folder, seed, given.trials)
-    if "learned" in given.beside and "learned" not in figures:
+    if "learned" in given.references and "learned" not in figures:
         figures["learned"] = float(np.mean(returns(learned(name, figures["steps"], seed), name, given.trials)))
-    if "environment" in given.beside and "environment" not in figures:
+    if "environment" in given.references and "environment" not in figures:
         like = load_champion((folder / figures["file"]).with_suffix(""))
         own = exported(evolved(like, GymnasiumRobot(id=name), given.generations, seed), folder / "environment.py")
         figures["environment"] = float(np.mean(returns(own, name, given.trials)))
@@ -131,7 +131,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--ids", default=",".join(IDS))
     parser.add_argument("--seeds", default="0")
     parser.add_argument("--trials", type=int, default=40)
-    parser.add_argument("--beside", nargs="*", choices=("learned", "environment"), default=())
+    parser.add_argument("--references", nargs="*", choices=("learned", "environment"), default=())
     parser.add_argument("--generations", type=int, default=60)
     add_markdown(parser)
     given = parser.parse_args(arguments)
