@@ -70,10 +70,10 @@ from .study.planning import PlannedStudy, plan_study, seconds_about
 from .study.results import StudyResults
 from .study.study import STUDY_FILE, Study
 from .sufficiency import enough_blocks
-from .transfer import Cell
 from .transfer.matrix import (
     MeasuredResult,
     TransferMatrix,
+    TransferResult,
     load_measured,
     measured_by_person,
     result_of,
@@ -89,7 +89,6 @@ __all__ = [
     "FORMATS",
     "PERSISTENCE",
     "STUDY_FILE",
-    "Cell",
     "Comparison",
     "ComparisonResults",
     "DataSummary",
@@ -108,6 +107,7 @@ __all__ = [
     "Study",
     "StudyResults",
     "TransferMatrix",
+    "TransferResult",
     "TransferSummary",
     "advice_lines",
     "advise_recording",

@@ -316,6 +316,6 @@ def report():
 @pytest.fixture(scope="session")
 def report_page(report, tmp_path_factory):
     """The page of `report`."""
-    from evaluation.report import save_report
+    from evaluation.report.report import save_report
 
     return save_report(report, tmp_path_factory.mktemp("page"))[1]

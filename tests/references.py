@@ -34,7 +34,7 @@ from rich.table import Table
 from safetensors.numpy import load_file, save_file
 
 from evaluation import compare
-from evaluation.report import to_json
+from evaluation.report.report import to_json
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Dataset
 from sysid_evo.engine import rollout

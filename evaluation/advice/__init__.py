@@ -1,15 +1,5 @@
 """Advice: sentences with numbers on what limits a recording or a model, and what to record next."""
 
-from evaluation.advice.advise import MAX_REMARKS, advise_model, advise_recording, ranked
-from evaluation.advice.evidence import Evidence, ModelAdvice, Recordings, Remark
+from evaluation.advice.advise import advise_model
 
-__all__ = [
-    "MAX_REMARKS",
-    "Evidence",
-    "ModelAdvice",
-    "Recordings",
-    "Remark",
-    "advise_model",
-    "advise_recording",
-    "ranked",
-]
+__all__ = ["advise_model"]

@@ -339,7 +339,7 @@ def _watch_at(url: str) -> None:
     print_line(f"Watch it at {url} (driving begins when the page is open)")
 
 
-def trials_table(cell: evaluation.Cell, rollouts: sysid_evo.Rollouts) -> Table:
+def trials_table(cell: evaluation.TransferResult, rollouts: sysid_evo.Rollouts) -> Table:
     """Return a table of trials: fitness and steps of each, mean and standard deviation, missing trials."""
     headings = "trial", cell.unit or "fitness", "steps"
     table = table_of(*headings, numbers=headings)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evaluation.prediction import ModelPrediction
+from evaluation.prediction.scores import ModelPrediction
 from sysid_evo.data import Dataset
 from sysid_evo.motion import PlanarBody
 from sysid_evo.registry import make_robot

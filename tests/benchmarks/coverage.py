@@ -28,7 +28,7 @@ from sysid_evo.validation.intervals import SHARE
 from tests.benchmarks.markdown import add_markdown, per_cents, print_tables, thousandths
 
 if TYPE_CHECKING:
-    from evaluation.prediction import MeasuredCases
+    from evaluation.prediction.cases import MeasuredCases
     from sysid_evo.models import DynamicsModel
 
 FAMILIES = ("mlp_ensemble", "gaussian_process", "linear", "sindy", "sindy_discrete", "narx")
@@ -53,7 +53,7 @@ def uncertain(name: str, preset: str) -> DynamicsModel:
 
 def covered(label: str, model: DynamicsModel, cases: MeasuredCases) -> str:
     """Write coverage, width and N at each horizon; return coverage and mean width over all channels and horizons."""
-    from evaluation.prediction import score_model
+    from evaluation.prediction.scoring import score_model
 
     scores = score_model(label, model, cases, family=label)
     shares = per_cents(np.mean(held.inside) for held in scores.coverage)
@@ -67,7 +67,7 @@ def covered(label: str, model: DynamicsModel, cases: MeasuredCases) -> str:
 
 def on_logs(families: Sequence[str], preset: str, seeds: int, logs: Sequence[str]) -> Table:
     """Return the coverage of the intervals on the test part of each log, a row for each family."""
-    from evaluation.prediction import PredictionProtocol, measured_cases
+    from evaluation.prediction.cases import PredictionProtocol, measured_cases
     from sysid_evo.errors import IncompatibleSystem
     from tests.benchmarks.cars import recording
 
@@ -97,7 +97,7 @@ def across_conditions(
     families: Sequence[str], preset: str, seeds: int, groups: Sequence[str], *, adapted: bool
 ) -> Table:
     """Return the coverage in the condition of the fit and in others: a row for each, and one after adaptation."""
-    from evaluation.prediction import PredictionProtocol, measured_cases
+    from evaluation.prediction.cases import PredictionProtocol, measured_cases
     from sysid_evo.models.adaptation import NONE
     from tests.benchmarks.shift.recordings import cases
 

@@ -17,7 +17,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from evaluation.prediction import PredictionProtocol, assess_model, measured_cases
+from evaluation.prediction.cases import PredictionProtocol, measured_cases
+from evaluation.prediction.scoring import assess_model
 from model_zoo.grey_box import GreyBox
 from sysid_evo.models.base import make_model
 from tests.benchmarks.cars import EMULATED, TEST_EPISODE, recording

@@ -20,8 +20,8 @@ from rich.table import Table
 from scipy.stats import spearmanr
 
 from evaluation import compare
-from evaluation.report import ComparisonResults
-from evaluation.transfer import TransferMatrix
+from evaluation.results import ComparisonResults
+from evaluation.transfer.matrix import TransferMatrix
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine import DynamicsRunner, behaviour_names
 from sysid_evo.evolution import Champion

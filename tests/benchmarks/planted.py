@@ -22,17 +22,13 @@ from dataclasses import dataclass
 from rich.console import Console
 from rich.table import Table
 
-from evaluation.exploitability import (
-    ModelExploitability,
-    ProbeResult,
-    Steps,
-    assess_exploitability,
-    probe_limits,
-    search_exploit,
-    training_support,
-)
+from evaluation.exploitability.assessment import assess_exploitability
+from evaluation.exploitability.probes import probe_limits
+from evaluation.exploitability.results import ModelExploitability, ProbeResult
+from evaluation.exploitability.search import search_exploit
 from evaluation.exploitability.slopes import SlopeComparison
-from evaluation.transfer import transfer
+from evaluation.steps import Steps, training_support
+from evaluation.transfer.matrix import transfer
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.evolution import Champion, ControllerEvolution, evolve_controller

@@ -15,7 +15,8 @@ from gymnasium import spaces
 from rich.table import Table
 from stable_baselines3 import PPO, SAC
 
-from evaluation.transfer import MatrixEstimates, TransferMatrix, transfer
+from evaluation.transfer.matrix import TransferMatrix, transfer
+from evaluation.transfer.summary import MatrixEstimates
 from hardware.robot import Robot, find_robot
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.environments import champion_from_policy, make_vector_env

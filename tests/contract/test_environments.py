@@ -8,7 +8,7 @@ import warnings
 import numpy as np
 import pytest
 
-from evaluation.transfer import transfer
+from evaluation.transfer.matrix import transfer
 from sysid_evo.controllers import RecurrentNetwork, View
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine import DynamicsRunner, rollout

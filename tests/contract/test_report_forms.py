@@ -9,7 +9,7 @@ import pytest
 
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
-from evaluation.report import load_report, save_report, tables, to_json
+from evaluation.report.report import load_report, save_report, tables, to_json
 from evaluation.running import gather_results, report_of
 from sysid_evo.plan import Store, execute
 from tests.fixtures.faulty_recordings import Fault, drive

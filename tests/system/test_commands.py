@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from evaluation.study import Study, plan_study
-from evaluation.study.planning import seconds_about
+from evaluation.study.planning import plan_study, seconds_about
+from evaluation.study.study import Study
 from sysid_evo.data import Dataset
 from sysid_evo.models import load_model, save_model
 from sysid_evo.models.base import make_model

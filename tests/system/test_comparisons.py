@@ -10,10 +10,10 @@ import pytest
 from evaluation.cells.assessment import Run
 from evaluation.experiment import Experiment, meaningful
 from evaluation.planning import comparison_in
-from evaluation.report import brief, to_json
+from evaluation.report.report import brief, to_json
 from evaluation.run_folder import unneeded_files
 from evaluation.running import compare, gather_results, report_of
-from evaluation.transfer import summarise
+from evaluation.transfer.summary import summarise
 from hardware.robot import Robot
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Dataset

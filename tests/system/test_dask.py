@@ -17,8 +17,9 @@ import pytest
 from distributed import Client
 
 from evaluation.running import compare
-from evaluation.study import Study
-from evaluation.transfer import Cell, MeasuredResult, human_driver, save_measured
+from evaluation.study.study import Study
+from evaluation.transfer.matrix import MeasuredResult, human_driver, save_measured
+from evaluation.transfer.matrix import TransferResult as Cell
 from sysid_evo.errors import InvalidArgument, SchedulerLost
 from sysid_evo.models import save_model
 from sysid_evo.models.base import make_model

@@ -20,7 +20,7 @@ from websockets.sync.client import connect
 
 import hardware
 from evaluation.experiment import FILE, Experiment
-from evaluation.transfer import load_measured, transfer_seeds
+from evaluation.transfer.matrix import load_measured, transfer_seeds
 from hardware.connection import GateLimits
 from hardware.driving import server
 from hardware.driving.hand_driving import HandDriving, HandPanel, HandTrial

@@ -7,7 +7,7 @@ import pytest
 
 from evaluation import chosen_models, compare, plan_run, running, with_further_families
 from evaluation.experiment import Experiment
-from evaluation.prediction import assess_prediction
+from evaluation.prediction.scoring import assess_prediction
 from evaluation.report.sections.prediction import headline
 from model_zoo.linear import Linear
 from sysid_evo.cli.experiments import print_held_out_scores

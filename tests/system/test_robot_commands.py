@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from evaluation.transfer import load_measured
+from evaluation.transfer.matrix import load_measured
 from hardware.run_report import StopReason
 from hardware.self_test import SelfTestFinding
 from sysid_evo.data import Dataset

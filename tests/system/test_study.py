@@ -16,8 +16,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from evaluation.running import run_study, write_study
-from evaluation.study import Study, controller_figures, gather_study, plan_study
-from evaluation.study.planning import seconds_about
+from evaluation.study.figures import controller_figures
+from evaluation.study.planning import plan_study, seconds_about
+from evaluation.study.results import gather_study
+from evaluation.study.study import Study
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.plan import Observer, Store, execute

@@ -7,7 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation import Cell, Experiment, MeasuredResult, Study, comparison_of, load_measured, plan_study, run_study
+from evaluation import (
+    Experiment,
+    MeasuredResult,
+    Study,
+    TransferResult,
+    comparison_of,
+    load_measured,
+    plan_study,
+    run_study,
+)
 from evaluation.transfer.matrix import human_driver
 from sysid_evo import load_plugin
 from sysid_evo.cli.runs import add_measured
@@ -150,7 +159,7 @@ def test_a_command_that_needs_the_task_of_a_plugin_names_the_option_and_takes_it
 
 
 def test_what_was_driven_is_kept_in_a_run_whose_plugins_do_not_run(there, theirs, capsys):
-    driven = Cell("anna", "linear", np.array([5.0]), unit="waypoints")
+    driven = TransferResult("anna", "linear", np.array([5.0]), unit="waypoints")
     add_measured(theirs / "run", MeasuredResult(human_driver("anna"), driven, on_robot=False))
     assert "its report is not updated" in " ".join(capsys.readouterr().err.split())
     assert len(load_measured(theirs / "run")[0]) == 1

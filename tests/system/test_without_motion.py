@@ -8,8 +8,8 @@ import pytest
 
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
-from evaluation.report import save_report, to_json
 from evaluation.report.render.svg import drawn
+from evaluation.report.report import save_report, to_json
 from evaluation.report.sections.controllers import drive_command
 from evaluation.report.sections.replay import traces_picture
 from evaluation.report.sections.transfer import further_measures_table

@@ -30,8 +30,9 @@ from rich.console import Console
 from rich.table import Table
 
 from evaluation.chosen_models import with_preset
-from evaluation.prediction import ModelPrediction, PredictionProtocol, assess_model, measured_cases
-from evaluation.prediction.cases import MeasuredCases
+from evaluation.prediction.cases import MeasuredCases, PredictionProtocol, measured_cases
+from evaluation.prediction.scores import ModelPrediction
+from evaluation.prediction.scoring import assess_model
 from model_zoo.auto.candidates import SHIPPED, unusable
 from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel, load_model, save_model

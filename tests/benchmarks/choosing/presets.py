@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.table import Table
 
 from evaluation.chosen_models import with_preset
-from evaluation.prediction import assess_model
+from evaluation.prediction.scoring import assess_model
 from model_zoo.auto.candidates import candidates_for
 from model_zoo.auto.fitting import FitOutcome, FitTask, FitWork, fitted
 from sysid_evo.models import DynamicsModel

@@ -23,7 +23,8 @@ from unittest.mock import patch
 import numpy as np
 
 from evaluation.chosen_models import with_preset
-from evaluation.prediction import ModelPrediction, assess_model
+from evaluation.prediction.scores import ModelPrediction
+from evaluation.prediction.scoring import assess_model
 from model_zoo.auto.fitting import FitOutcome, FitTask, FitWork
 from sysid_evo.models import DynamicsModel
 from sysid_evo.models.base import make_model

@@ -25,8 +25,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from evaluation.report import load_report
-from evaluation.study import Study
+from evaluation.report.report import load_report
+from evaluation.study.study import Study
 from evaluation.transfer.forecast import FORECAST_RULE
 from tests.benchmarks.forecast.judging import (
     Seen,

@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from evaluation.prediction.scores import HORIZON
-from evaluation.report import load_report
+from evaluation.report.report import load_report
 from evaluation.transfer.forecast import (
     FORECAST_RULE,
     Forecast,

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from evaluation.cells.plants import runner_of
-from evaluation.exploitability import Steps, probe_limits, training_support
-from evaluation.exploitability.probes import ProbeLimit
+from evaluation.exploitability.probes import ProbeLimit, probe_limits
 from evaluation.prediction.scores import HORIZON
-from evaluation.report import ReportDocument, load_report
+from evaluation.report.report import ReportDocument, load_report
 from evaluation.report.sections.prediction import ModelPredictionPart
-from evaluation.transfer import transfer_seeds
+from evaluation.steps import Steps, training_support
+from evaluation.transfer.matrix import transfer_seeds
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Dataset
 from sysid_evo.data.support import Support

@@ -9,7 +9,8 @@ from pathlib import Path
 from evaluation.cells.plants import runner_of
 from evaluation.planning import Comparison
 from evaluation.prediction.scores import error_of
-from evaluation.study import Point, Study, plan_study
+from evaluation.study.planning import plan_study
+from evaluation.study.study import Point, Study
 from sysid_evo.cli.progress import PlanProgress
 from sysid_evo.evolution import Champion
 from sysid_evo.files import write_atomically

@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 
 from evaluation.chosen_models import with_preset
-from evaluation.prediction import MeasuredCases, PredictionProtocol, measured_cases
+from evaluation.prediction.cases import MeasuredCases, PredictionProtocol, measured_cases
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidData
 from sysid_evo.models import DynamicsModel, load_model, save_model

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.prediction import Coverage, PredictionProtocol, measured_cases, score_model
-from evaluation.prediction.scores import ConditionError, ModelPrediction
-from evaluation.prediction.scoring import condition_errors
+from evaluation.prediction.cases import PredictionProtocol, measured_cases
+from evaluation.prediction.scores import ConditionError, Coverage, ModelPrediction
+from evaluation.prediction.scoring import condition_errors, score_model
 from evaluation.report.sections.prediction import condition_table, coverage_table
 from evaluation.storage import load_result, save_result
 from sysid_evo.data import Dataset

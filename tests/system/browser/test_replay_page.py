@@ -10,8 +10,8 @@ from matplotlib.image import imread
 from playwright.sync_api import expect
 
 from evaluation.plot_style import LINES
-from evaluation.report import save_report
-from evaluation.transfer import Trace
+from evaluation.report.report import save_report
+from evaluation.transfer.matrix import Trace
 from sysid_evo.data import Trajectory
 from sysid_evo.tasks import Target
 from sysid_evo.testing.examples import drone

@@ -16,7 +16,7 @@ from axe_core_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
 from evaluation.plot_style import LINES, PAPER
-from evaluation.report import save_report
+from evaluation.report.report import save_report
 from evaluation.report.study import save_study
 from tests.fixtures import reports as chosen
 from tests.fixtures.browser import DESK, PHONE, TABLET, resize, seen, share_of, shown, sideways

@@ -9,7 +9,7 @@ import pytest
 import scipy
 from rich.console import Console
 
-from evaluation.advice import advise_recording
+from evaluation.advice.advise import advise_recording
 from sysid_evo.cli.recordings import quality_as_json, quality_tables
 from sysid_evo.data import Dataset, RawLog, check_usable, find_delays, recording_quality
 from sysid_evo.data.response import _first_peak, fit_linear

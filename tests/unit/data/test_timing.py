@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.advice import advise_recording
+from evaluation.advice.advise import advise_recording
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
 from sysid_evo import make_model

@@ -7,15 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.advice import (
-    MAX_REMARKS,
-    Evidence,
-    ModelAdvice,
-    advise_model,
-    advise_recording,
-    ranked,
-)
-from evaluation.advice.advise import MODEL_CHECKS, PLACE_CHECKS
+from evaluation.advice.advise import MAX_REMARKS, MODEL_CHECKS, PLACE_CHECKS, advise_model, advise_recording, ranked
+from evaluation.advice.evidence import Evidence, ModelAdvice
 from evaluation.advice.generalisation import halved, overfit, shift, too_few_data
 from evaluation.advice.one_step import estimate_noise, hidden_state, late_controls, noise_floor
 from evaluation.advice.recording import CHECKS
@@ -27,8 +20,7 @@ from evaluation.advice.regions import (
     untried_command,
     weak_region,
 )
-from evaluation.coverage import largest_gap, untried_pair
-from evaluation.exploitability import suggest_recordings
+from evaluation.coverage import largest_gap, suggest_recordings, untried_pair
 from evaluation.steps import Steps
 from evaluation.storage import from_plain, plain
 from sysid_evo.data import Dataset, Trajectory

@@ -16,9 +16,10 @@ from evaluation.behaviour import (
     driving_summary,
     trial_measures,
 )
-from evaluation.report import to_json
+from evaluation.report.report import to_json
 from evaluation.report.sections.behaviour import driving_table, measured_behaviour_table
-from evaluation.transfer import Cell, Trace, TransferMatrix
+from evaluation.transfer.matrix import Trace, TransferMatrix
+from evaluation.transfer.matrix import TransferResult as Cell
 from sysid_evo.data import Trajectory
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import Target

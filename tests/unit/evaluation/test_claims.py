@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
-from evaluation.exploitability import assess_exploitability
-from evaluation.transfer import Cell, Estimate, MatrixEstimates, TransferMatrix, is_exploited, summarise
+from evaluation.exploitability.assessment import assess_exploitability
+from evaluation.transfer.matrix import TransferMatrix
+from evaluation.transfer.matrix import TransferResult as Cell
+from evaluation.transfer.summary import MatrixEstimates, is_exploited, summarise
+from sysid_evo.validation.estimates import Estimate
 from tests.fixtures.known_models import recording
 from tests.fixtures.reports import champion
 

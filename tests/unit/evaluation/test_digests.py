@@ -10,8 +10,8 @@ from evaluation.cells.controllers import Polish
 from evaluation.cells.models import StoredModelCell
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison, unsettled
-from evaluation.transfer import Cell, human_driver
-from evaluation.transfer.matrix import MeasuredResult
+from evaluation.transfer.matrix import MeasuredResult, human_driver
+from evaluation.transfer.matrix import TransferResult as Cell
 from model_zoo.linear import Linear
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, MissingExtra
 from sysid_evo.evolution import Champion

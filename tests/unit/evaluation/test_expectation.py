@@ -6,11 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.report import to_json
 from evaluation.report.render.terminal import WIDTH, table_lines
+from evaluation.report.report import to_json
 from evaluation.report.sections.controllers import fitness_table, further_figures_table
 from evaluation.report.sections.transfer import transfer_sheet
-from evaluation.transfer import Cell, MatrixEstimates, TransferMatrix, summarise
+from evaluation.transfer.matrix import TransferMatrix
+from evaluation.transfer.matrix import TransferResult as Cell
+from evaluation.transfer.summary import MatrixEstimates, summarise
 from sysid_evo.validation.estimates import CONFIDENCE
 from tests.fixtures import reports as made_up
 from tests.fixtures.reports import champion

@@ -9,9 +9,7 @@ import pytest
 from evaluation.cells.data import GivenData, HoldOut
 from evaluation.cells.models import Predict
 from evaluation.cells.plants import Plant, accurate_plants
-from evaluation.prediction import ErrorScore, ModelPrediction
-from evaluation.prediction.scores import forecast_error
-from evaluation.transfer import Cell, Estimate, TransferMatrix
+from evaluation.prediction.scores import ErrorScore, ModelPrediction, forecast_error
 from evaluation.transfer.forecast import (
     FORECAST_RULE,
     ForecastRule,
@@ -23,10 +21,12 @@ from evaluation.transfer.forecast import (
     model_weights,
     weighted_median,
 )
+from evaluation.transfer.matrix import TransferMatrix
+from evaluation.transfer.matrix import TransferResult as Cell
 from evaluation.transfer.summary import summary_of
 from sysid_evo.plan import CellContext
 from sysid_evo.testing import example_dataset
-from sysid_evo.validation.estimates import Draws
+from sysid_evo.validation.estimates import Draws, Estimate
 from tests.fixtures.reports import evolved, matrix, prediction, report
 
 INF, NAN = float("inf"), float("nan")

@@ -5,18 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.transfer import (
+from evaluation.transfer.matrix import (
     NOT_RUN,
-    Cell,
     MeasuredResult,
     TransferMatrix,
     human_driver,
     load_measured,
     save_measured,
-    summarise,
     with_measured,
 )
-from evaluation.transfer.summary import summary_of
+from evaluation.transfer.matrix import TransferResult as Cell
+from evaluation.transfer.summary import summarise, summary_of
 from sysid_evo.evolution import Champion
 from tests.fixtures.known_models import SYSTEM
 

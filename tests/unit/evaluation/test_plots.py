@@ -3,7 +3,7 @@
 import numpy as np
 
 from evaluation.plots import plot_state, plotted_states
-from evaluation.transfer import Trace
+from evaluation.transfer.matrix import Trace
 from sysid_evo.data import Trajectory
 from sysid_evo.system import Channel
 from sysid_evo.tasks import Target

@@ -4,9 +4,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from evaluation.exploitability import Steps, training_support
 from evaluation.plots import plot_free_run
-from evaluation.prediction import PERSISTENCE, PredictionProtocol, assess_prediction
+from evaluation.prediction.cases import PredictionProtocol
+from evaluation.prediction.scores import PERSISTENCE
+from evaluation.prediction.scoring import assess_prediction
+from evaluation.steps import Steps, training_support
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.models import DynamicsModel

@@ -6,18 +6,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from evaluation.prediction import (
-    OneStepErrors,
-    PredictionProtocol,
-    Region,
-    analyse_residuals,
-    assess_prediction,
-    step_errors,
-    worst_region,
-)
-from evaluation.prediction.regions import candidate_regions
-from evaluation.prediction.residuals import AHEAD, LAGS, MOST_STEPS
+from evaluation.prediction.cases import PredictionProtocol
+from evaluation.prediction.regions import Region, candidate_regions, worst_region
+from evaluation.prediction.residuals import AHEAD, LAGS, MOST_STEPS, OneStepErrors, analyse_residuals, step_errors
 from evaluation.prediction.scores import ModelPrediction
+from evaluation.prediction.scoring import assess_prediction
 from evaluation.storage import load_result, save_result
 from sysid_evo.data import Dataset
 from sysid_evo.testing.examples import pendulum

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from evaluation.advice.advise import INTERVAL_TOPICS, advise_model
-from evaluation.prediction import PredictionProtocol, assess_prediction, measured_cases
-from evaluation.report import verdict
+from evaluation.prediction.cases import PredictionProtocol, measured_cases
+from evaluation.prediction.scoring import assess_prediction
 from evaluation.report.report import brief, to_json
 from evaluation.report.sections.controllers import fitness_table
 from evaluation.report.sections.prediction import difference_table, error_table
-from evaluation.report.sections.summary import headlines
+from evaluation.report.sections.summary import headlines, verdict
 from evaluation.results import EpisodeSummary
 from evaluation.sufficiency import FEWEST_BLOCKS, beats_rest, none_beats_rest
 from sysid_evo.data import Dataset

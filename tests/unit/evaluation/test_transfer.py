@@ -5,8 +5,9 @@ import pytest
 from scipy.stats import spearmanr
 
 from evaluation.storage import load_result, plain, save_result
-from evaluation.transfer import Cell, TransferMatrix, summarise, transfer, transfer_seeds, try_controller
-from evaluation.transfer.summary import mean_ranks
+from evaluation.transfer.matrix import TransferMatrix, transfer, transfer_seeds, try_controller
+from evaluation.transfer.matrix import TransferResult as Cell
+from evaluation.transfer.summary import mean_ranks, summarise
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine import DynamicsRunner, rollout
 from sysid_evo.errors import ArtefactError, InvalidArgument

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm, t
 
-from evaluation.prediction import PERSISTENCE, PredictionProtocol, assess_prediction
+from evaluation.prediction.cases import PredictionProtocol
+from evaluation.prediction.scores import PERSISTENCE
+from evaluation.prediction.scoring import assess_prediction
 from sysid_evo.validation.estimates import (
     CONFIDENCE,
     Draws,

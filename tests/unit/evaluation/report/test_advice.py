@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from evaluation.advice import ModelAdvice, Remark
+from evaluation.advice.evidence import ModelAdvice, Remark
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
-from evaluation.report import advice_lines, tables, to_json, verdict
-from evaluation.report.report import sections
+from evaluation.report.report import sections, tables, to_json
+from evaluation.report.sections.advice import advice_lines
+from evaluation.report.sections.summary import verdict
 from evaluation.storage import from_plain
 from sysid_evo.plan import Store, execute
 from tests.fixtures.faulty_recordings import Fault, drive

@@ -12,24 +12,15 @@ import numpy as np
 import pytest
 
 from evaluation.exploitability.results import UnderratedController
-from evaluation.prediction import assess_prediction
-from evaluation.report import (
-    ComparisonResults,
-    DataSummary,
-    Failure,
-    load_report,
-    report_schema,
-    save,
-    save_report,
-    tables,
-    to_html,
-    to_json,
-    verdict,
-)
+from evaluation.prediction.scoring import assess_prediction
+from evaluation.report import save
 from evaluation.report.render.terminal import table_lines
-from evaluation.report.report import SCHEMA, sections
+from evaluation.report.report import SCHEMA, load_report, report_schema, save_report, sections, tables, to_html, to_json
+from evaluation.report.sections.summary import verdict
 from evaluation.report.sections.transfer import transfer_sheet
-from evaluation.transfer import Cell, TransferMatrix
+from evaluation.results import ComparisonResults, DataSummary, Failure
+from evaluation.transfer.matrix import TransferMatrix
+from evaluation.transfer.matrix import TransferResult as Cell
 from sysid_evo.errors import ArtefactError
 from sysid_evo.system import System
 from tests.fixtures import reports as chosen

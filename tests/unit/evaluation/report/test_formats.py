@@ -7,10 +7,9 @@ from xml.etree import ElementTree
 import pytest
 
 from evaluation.report import report as report_module
-from evaluation.report import tables, to_html, to_markdown
 from evaluation.report.elements import Section, TableElement
 from evaluation.report.render.markdown import sheet_to_markdown
-from evaluation.report.report import sections, story_of
+from evaluation.report.report import sections, story_of, tables, to_html, to_markdown
 from evaluation.report.save import write_format
 from evaluation.report.sections.summary import headlines
 from sysid_evo.errors import InvalidArgument

@@ -14,7 +14,7 @@ from evaluation.formatting import (
     with_interval,
     within,
 )
-from evaluation.transfer import Estimate
+from sysid_evo.validation.estimates import Estimate
 
 
 @pytest.mark.parametrize(

@@ -30,9 +30,10 @@ from evaluation.plots import (
     plot_trace,
 )
 from evaluation.report.render.svg import inline_svg
-from evaluation.transfer import Estimate, Trace
+from evaluation.transfer.matrix import Trace
 from sysid_evo.data import Trajectory
 from sysid_evo.errors import InvalidData
+from sysid_evo.validation.estimates import Estimate
 
 
 def claiming(report):

@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from evaluation.report.sections.replay import divergence_time, packed, replay, traces_picture, views
-from evaluation.transfer import Cell, Trace, transfer
+from evaluation.transfer.matrix import Trace, transfer
+from evaluation.transfer.matrix import TransferResult as Cell
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.data import Trajectory
 from sysid_evo.engine import DynamicsRunner

@@ -8,15 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.exploitability import ProbeResult
+from evaluation.exploitability.results import ProbeResult
 from evaluation.linearisation import LinearResponse, OperatingPoint
 from evaluation.plot_style import new_figure
-from evaluation.prediction import PERSISTENCE, assess_prediction
-from evaluation.report import DataSummary, ModelSummary, to_json
+from evaluation.prediction.scores import PERSISTENCE
+from evaluation.prediction.scoring import assess_prediction
 from evaluation.report.elements import DrawingPair
 from evaluation.report.render.html import Words, explained_words
 from evaluation.report.render.svg import drawn
 from evaluation.report.render.terminal import table_lines
+from evaluation.report.report import to_json
 from evaluation.report.sections import controllers as controllers_section
 from evaluation.report.sections import models as models_section
 from evaluation.report.sections.controllers import (
@@ -37,9 +38,13 @@ from evaluation.report.sections.exploitability import exploitability_cards, outs
 from evaluation.report.sections.prediction import SHOWN_MODELS, difference_table, error_table, free_run_picture
 from evaluation.report.sections.replay import traces_picture
 from evaluation.report.sections.transfer import CONTROLLERS, FAMILIES, paper_sheet, transfer_sheet
-from evaluation.transfer import Cell, Estimate, TransferMatrix, human_driver, summarise
+from evaluation.results import DataSummary, ModelSummary
+from evaluation.transfer.matrix import TransferMatrix, human_driver
+from evaluation.transfer.matrix import TransferResult as Cell
+from evaluation.transfer.summary import summarise
 from sysid_evo.data import Dataset
 from sysid_evo.system import Channel, System
+from sysid_evo.validation.estimates import Estimate
 from tests.fixtures import reports as chosen
 from tests.fixtures.known_models import Known, LosesGrip, Undefined, fitted, noisy, recording
 from tests.fixtures.reports import exploited, matrix, on_a_plane, paper_matrix, prediction, printed

@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-from evaluation.report import Failure, brief, drive_command, tables, verdict
-from evaluation.report.report import PrintedReport
-from evaluation.report.sections.controllers import fitness_table
-from evaluation.report.sections.summary import headlines
+from evaluation.report.report import PrintedReport, brief, tables
+from evaluation.report.sections.controllers import drive_command, fitness_table
+from evaluation.report.sections.summary import headlines, verdict
+from evaluation.results import Failure
 from tests.fixtures.reports import matrix, prediction, printed, report
 
 LONG = "backprop27+nearest_neighbour+parametrised"

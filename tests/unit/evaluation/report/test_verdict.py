@@ -6,14 +6,14 @@ from datetime import date
 import pytest
 
 from evaluation.exploitability.results import UnderratedController
-from evaluation.prediction import PredictionProtocol, measured_cases
-from evaluation.report import Failure, ModelSummary, is_empty, verdict
+from evaluation.prediction.cases import PredictionProtocol, measured_cases
 from evaluation.report.sections import models as models_section
 from evaluation.report.sections.prediction import PredictionPart
-from evaluation.report.sections.summary import facts, headlines, page_title, warnings
-from evaluation.transfer import Estimate
+from evaluation.report.sections.summary import facts, headlines, is_empty, page_title, verdict, warnings
+from evaluation.results import Failure, ModelSummary
 from sysid_evo.data import Dataset
 from sysid_evo.plan.store import WAITING
+from sysid_evo.validation.estimates import Estimate
 from tests.fixtures.known_models import recording
 from tests.fixtures.reports import exploited, matrix, prediction, report
 

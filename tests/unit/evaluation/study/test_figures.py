@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from evaluation.study import (
+from evaluation.study.figures import (
     CHOSEN,
     HINDSIGHT,
-    ControllerRow,
-    ModelRow,
     Spread,
     controller_figures,
     differences,
     exploit_figures,
     forecast_figures,
+    interquartile_mean,
+    prediction_axes,
     prediction_figures,
+    probability_of_improvement,
 )
-from evaluation.study.figures import interquartile_mean, prediction_axes, probability_of_improvement
-from evaluation.study.results import HorizonError, with_best_known
+from evaluation.study.results import ControllerRow, HorizonError, ModelRow, with_best_known
 from tests.fixtures.studies import made_up
 
 SHARES = [value / best for best in (10.0, 11.0, 12.0) for value in (best - 1.0,)]

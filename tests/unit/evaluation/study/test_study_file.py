@@ -2,7 +2,7 @@
 
 import pytest
 
-from evaluation.study import Study
+from evaluation.study.study import Study
 from sysid_evo.errors import InvalidArgument
 
 GRID = {"robot": ["emulated_car"], "seed": [0, 1]}
