@@ -8,8 +8,6 @@ from typing import Any
 
 from sysid_evo.errors import InvalidArgument, did_you_mean
 
-LARGEST_SEED = 2**64 - 1
-
 
 def check_text(what: str, value: object) -> str:
     """Return ``value`` if it is a text that is not empty."""
@@ -32,11 +30,6 @@ def check_integer(what: str, value: object, *, minimum: int, maximum: int) -> in
     if isinstance(value, int) and not isinstance(value, bool) and minimum <= value <= maximum:
         return value
     raise InvalidArgument(f"{what}: expected a whole number from {minimum} to {maximum}, got {value!r}")
-
-
-def check_seed(what: str, value: object) -> int | None:
-    """Return ``value`` if it is a seed, or None for none."""
-    return None if value is None else check_integer(f"{what}: seed", value, minimum=0, maximum=LARGEST_SEED)
 
 
 def check_choice(what: str, value: object, among: Iterable[str]) -> str:

@@ -17,6 +17,65 @@ from sysid_evo.types import Array
 TIME_TO_LIVE = 0.15  # s for which a command is valid: a robot whose host has died stops after it
 
 
+MOST_FRAMES = 1_000_000  # the largest number of frames in a limit of the gate
+
+
+@dataclass(frozen=True)
+class GateLimits:
+    """Limits of a body's motion between two accepted frames dt s apart, in addition to the tracker's errors.
+
+    It moves at most ``speed`` dt + ``position_error`` and never more than ``jump`` m; it turns at most ``yaw_rate`` dt
+    + ``heading_error`` and never more than ``turn`` rad. Under a drive command at most ``frozen`` poses in a row are
+    equal to the last bit, since a real tracker has noise (None for one without noise). A body that appears at another
+    place is accepted again when its frames are consistent: after ``confirm`` of them if it could have moved there, as
+    after a dropout; after ``recover`` s if it could not, because then it is another body or a flipped one. A run ends
+    before. A robot that can do more sets its own limits: ``[gate]`` in its file, or ``gate=GateLimits(speed=8.0)``.
+    """
+
+    speed: float = 5.0
+    yaw_rate: float = 12.0
+    jump: float = 0.25
+    turn: float = 1.0
+    position_error: float = 0.01
+    heading_error: float = 0.1
+    frozen: int | None = 10
+    confirm: int = 10
+    recover: float = 0.6
+
+    def __post_init__(self) -> None:
+        for name in ("speed", "yaw_rate", "jump", "turn", "recover"):
+            value = getattr(self, name)
+            if value != math.inf:
+                check_number(f"gate: {name}", value, above=0.0)
+        for name in ("position_error", "heading_error"):
+            check_number(f"gate: {name}", getattr(self, name), minimum=0.0)
+        check_integer("gate: confirm", self.confirm, minimum=1, maximum=MOST_FRAMES)
+        if self.frozen is not None:
+            check_integer("gate: frozen", self.frozen, minimum=1, maximum=MOST_FRAMES)
+
+    @classmethod
+    def read(cls, given: GateLimits | Mapping[str, Any] | None) -> GateLimits:
+        """Return limits from a table such as ``[gate]`` in a robot's file; None means the defaults.
+
+        Raises `InvalidArgument`.
+        """
+        if isinstance(given, GateLimits):
+            return given
+        return cls(**check_table("gate", {} if given is None else given, (item.name for item in fields(cls))))
+
+    def to_dict(self) -> dict[str, float | None]:
+        """Return the limits as strict JSON (an absent limit is null)."""
+        return {
+            name: value if value is not None and math.isfinite(value) else None for name, value in asdict(self).items()
+        }
+
+    @classmethod
+    def from_dict(cls, value: Mapping[str, float | None]) -> GateLimits:
+        """Inverse of `to_dict`. Raises `TypeError` or `InvalidArgument` if they are no limits."""
+        limits: dict[str, Any] = {k: math.inf if v is None and k != "frozen" else v for k, v in value.items()}
+        return cls(**limits)
+
+
 class Closeable(ABC):
     """An open resource; the ``with`` statement closes it on every exit."""
 
@@ -40,6 +99,9 @@ class Connection(Closeable):
     the ``with`` statement. One thread uses it.
     """
 
+    gate_limits: GateLimits = GateLimits()
+    """Limits of the body's motion from one frame to the next: frames beyond them are rejected."""
+
     @property
     @abstractmethod
     def time(self) -> float:
@@ -49,11 +111,6 @@ class Connection(Closeable):
     def round_trip(self) -> float | None:
         """Time in s from the newest answered command to the robot's answer; None if it is not measured."""
         return None
-
-    @property
-    def gate_limits(self) -> GateLimits:
-        """Limits of the body's motion from one frame to the next: frames beyond them are rejected."""
-        return GateLimits()
 
     @property
     def status(self) -> RobotStatus | None:
@@ -149,62 +206,3 @@ class Listener:
 
     def close(self) -> None:
         """Finish; a second call does nothing."""
-
-
-MOST_FRAMES = 1_000_000  # the largest number of frames in a limit of the gate
-
-
-@dataclass(frozen=True)
-class GateLimits:
-    """Limits of a body's motion between two accepted frames dt s apart, in addition to the tracker's errors.
-
-    It moves at most ``speed`` dt + ``position_error`` and never more than ``jump`` m; it turns at most ``yaw_rate`` dt
-    + ``heading_error`` and never more than ``turn`` rad. Under a drive command at most ``frozen`` poses in a row are
-    equal to the last bit, since a real tracker has noise (None for one without noise). A body that appears at another
-    place is accepted again when its frames are consistent: after ``confirm`` of them if it could have moved there, as
-    after a dropout; after ``recover`` s if it could not, because then it is another body or a flipped one. A run ends
-    before. A robot that can do more sets its own limits: ``[gate]`` in its file, or ``gate=GateLimits(speed=8.0)``.
-    """
-
-    speed: float = 5.0
-    yaw_rate: float = 12.0
-    jump: float = 0.25
-    turn: float = 1.0
-    position_error: float = 0.01
-    heading_error: float = 0.1
-    frozen: int | None = 10
-    confirm: int = 10
-    recover: float = 0.6
-
-    def __post_init__(self) -> None:
-        for name in ("speed", "yaw_rate", "jump", "turn", "recover"):
-            value = getattr(self, name)
-            if value != math.inf:
-                check_number(f"gate: {name}", value, above=0.0)
-        for name in ("position_error", "heading_error"):
-            check_number(f"gate: {name}", getattr(self, name), minimum=0.0)
-        check_integer("gate: confirm", self.confirm, minimum=1, maximum=MOST_FRAMES)
-        if self.frozen is not None:
-            check_integer("gate: frozen", self.frozen, minimum=1, maximum=MOST_FRAMES)
-
-    @classmethod
-    def read(cls, given: GateLimits | Mapping[str, Any] | None) -> GateLimits:
-        """Return limits from a table such as ``[gate]`` in a robot's file; None means the defaults.
-
-        Raises `InvalidArgument`.
-        """
-        if isinstance(given, GateLimits):
-            return given
-        return cls(**check_table("gate", {} if given is None else given, (item.name for item in fields(cls))))
-
-    def to_dict(self) -> dict[str, float | None]:
-        """Return the limits as strict JSON (an absent limit is null)."""
-        return {
-            name: value if value is not None and math.isfinite(value) else None for name, value in asdict(self).items()
-        }
-
-    @classmethod
-    def from_dict(cls, value: Mapping[str, float | None]) -> GateLimits:
-        """Inverse of `to_dict`. Raises `TypeError` or `InvalidArgument` if they are no limits."""
-        limits: dict[str, Any] = {k: math.inf if v is None and k != "frozen" else v for k, v in value.items()}
-        return cls(**limits)

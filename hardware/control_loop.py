@@ -39,9 +39,9 @@ class ControlLoop:
     the loop neither drifts nor catches up. Time passes only in `Connection.measure`, so it runs unchanged in simulated
     time, all in the calling thread. A run starts in neutral until poses give an estimate. A tick whose newest pose is
     older than 100 ms sends neutral without asking the pilot (and neutral does not wait for the tick); a pose older than
-    500 ms ends the run. Every command is checked and valid for 150 ms. Without a ``gate`` of its own, the loop follows
-    the body of the first frame within the connection's ``gate_limits``.
-    Raises `IncompatibleSystem` for a system that it cannot drive (`check_loop`).
+    500 ms ends the run. Every command is checked and valid for 150 ms. The loop follows the body of the first frame
+    within the connection's ``gate_limits``. Raises `IncompatibleSystem` for a system that it cannot drive
+    (`check_loop`).
 
     A run that ends normally leaves the robot in neutral, the connection open, poses and gate unchanged. Any other exit,
     exceptions included, closes the connection first.
@@ -54,7 +54,6 @@ class ControlLoop:
         *,
         listeners: Sequence[Listener] = (),
         estimator: StateEstimator | None = None,
-        gate: PoseGate | None = None,
         stop: StopRequest | None = None,
     ) -> None:
         check_loop(system)
@@ -63,7 +62,7 @@ class ControlLoop:
         self.stop = StopRequest() if stop is None else stop
         self._listeners = tuple(listeners)
         self._estimator: StateEstimator = PoseEstimator(system) if estimator is None else estimator
-        self._gate = gate
+        self._gate: PoseGate | None = None
         self._driving = False
         self._status: RobotStatus | None = None
         self._rejected: Counter[str] = Counter()

@@ -98,11 +98,6 @@ class PoseEstimator:
             self._times.popleft()
             self._poses.popleft()
 
-    @property
-    def newest(self) -> float | None:
-        """The source time of the newest pose in s; None without one."""
-        return self._times[-1] if self._times else None
-
     def estimate(self, time: float) -> StateEstimate | None:
         """Return the estimate at ``time`` (s, the connection's clock), or None if the window has too few poses."""
         if not self._covers(0):
@@ -147,29 +142,14 @@ class NewestPoseEstimator:
 
 LONGEST_DELAY = 0.2  # s: the longest delay that is searched
 STEP = 0.001  # s
+KNOWN_DRIVE = 20.0  # s
 FREQUENCIES = (0.3, 0.7, 1.1)  # Hz, of the speeds of a known drive
-
-
-@dataclass(frozen=True)
-class EstimatorDelay:
-    """Delay of the estimate of ``channel`` in s, and its remaining error.
-
-    ``correlation`` is that with the truth at the delayed time; ``error`` is the root mean square difference from it,
-    ``error_now`` that from the truth at the time of the estimate, both in ``unit``.
-    """
-
-    channel: str
-    unit: str
-    seconds: float
-    correlation: float
-    error: float
-    error_now: float
 
 
 def measure_delays(
     system: System, times: Array, truth: Array, estimate_times: Array, estimates: Array
-) -> tuple[EstimatorDelay, ...]:
-    """Return the delay of every state: ``estimates`` (N, nx) against ``truth`` (T, nx), linear between ``times``.
+) -> tuple[float, ...]:
+    """Return the delay (s) of every state: ``estimates`` (N, nx) against ``truth`` (T, nx), linear between ``times``.
 
     The delay is the maximum of the parabola through the highest correlation and its neighbours, searched from 0 to
     0.2 s. Estimates from the first 0.2 s of the recording are left out.
@@ -179,33 +159,19 @@ def measure_delays(
     late = estimate_times >= times[0] + LONGEST_DELAY + STEP
     shifts = STEP * np.arange(-1, round(LONGEST_DELAY / STEP) + 2)
     found = []
-    for i, channel in enumerate(system.states):
-        estimated = estimates[late, i]
-
-        def true(shift: float, column: Array = truth[:, i]) -> Array:
-            return np.interp(estimate_times[late] - shift, times, column)
-
-        curve = np.array([_correlation(true(shift), estimated) for shift in shifts])
+    for column, estimated in zip(truth.T, estimates[late].T, strict=True):
+        true = [np.interp(estimate_times[late] - shift, times, column) for shift in shifts]
+        curve = np.array([_correlation(one, estimated) for one in true])
         peak = int(np.clip(curve.argmax(), 1, len(curve) - 2))
         before, at, after = curve[peak - 1 : peak + 2]
         bend = before - 2.0 * at + after
-        delay = shifts[peak] + (STEP * 0.5 * (before - after) / bend if bend < 0.0 else 0.0)
-        found.append(
-            EstimatorDelay(
-                channel.name,
-                channel.unit,
-                float(delay),
-                float(at),
-                _rms(estimated - true(delay)),
-                _rms(estimated - true(0.0)),
-            )
-        )
+        found.append(float(shifts[peak] + (STEP * 0.5 * (before - after) / bend if bend < 0.0 else 0.0)))
     return tuple(found)
 
 
-def estimator_delays(system: System, *, frame_interval: float, duration: float = 20.0) -> tuple[EstimatorDelay, ...]:
-    """Return the delays of `PoseEstimator` alone, on a known drive with frames every ``frame_interval`` s."""
-    times: Array = np.arange(0.0, duration, frame_interval)
+def estimator_delays(system: System, *, frame_interval: float) -> tuple[float, ...]:
+    """Return the delays (s) of `PoseEstimator` alone, on a known drive with frames every ``frame_interval`` s."""
+    times: Array = np.arange(0.0, KNOWN_DRIVE, frame_interval)
     states, poses = synthetic_drive(system, times)
     estimator = PoseEstimator(system)
     known: list[tuple[float, Array]] = []
@@ -217,17 +183,17 @@ def estimator_delays(system: System, *, frame_interval: float, duration: float =
     return measure_delays(system, times, states, np.array([t for t, _ in known]), np.array([s for _, s in known]))
 
 
-def synthetic_drive(system: System, times: Array, *, speed: float = 1.0, yaw_rate: float = 2.0) -> tuple[Array, Array]:
+def synthetic_drive(system: System, times: Array) -> tuple[Array, Array]:
     """Return states (T, nx) and poses (T, 3) of a made-up drive whose speeds oscillate smoothly around zero."""
     motion = system.motion
     assert isinstance(motion, PlanarBody)
     forward, lateral, turning = motion.indices(system.state_names)
     waves = np.sin(2.0 * np.pi * np.outer(times, FREQUENCIES) + np.arange(len(FREQUENCIES)))
     states = np.zeros((len(times), system.nx))
-    states[:, forward] = speed * (waves[:, 0] + waves[:, 1]) / 2.0
-    states[:, turning] = yaw_rate * (waves[:, 1] + waves[:, 2]) / 2.0
+    states[:, forward] = 0.5 * (waves[:, 0] + waves[:, 1])
+    states[:, turning] = waves[:, 1] + waves[:, 2]
     if lateral is not None:
-        states[:, lateral] = 0.1 * speed * waves[:, 2]
+        states[:, lateral] = 0.1 * waves[:, 2]
     poses = np.zeros((len(times), motion.n_pose))
     for k in range(1, len(times)):
         dt = float(times[k] - times[k - 1])
@@ -239,7 +205,3 @@ def _correlation(a: Array, b: Array) -> float:
     a, b = a - a.mean(), b - b.mean()
     scale = np.sqrt((a @ a) * (b @ b))
     return float(a @ b / scale) if scale > 0.0 else 0.0
-
-
-def _rms(difference: Array) -> float:
-    return float(np.sqrt(np.mean(difference**2)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -45,7 +45,6 @@ class PoseGate:
         self._seen = b""
         self._repeats = 0
         self._thawed = False
-        self._counts: Counter[str] = Counter()
         self._before: Measurement | None = None
         self._excess = LimitExcess({name: getattr(self.limits, name) for name in WORDS})
 
@@ -53,11 +52,6 @@ class PoseGate:
     def excess(self) -> str:
         """How far the frames since the newest accepted one exceed a limit, in a sentence; "" if they do not."""
         return self._excess.sentence
-
-    @property
-    def counters(self) -> Mapping[str, int]:
-        """Number of frames by the reason of the verdict; "accepted" for those without one, "tracks" that began."""
-        return dict(self._counts)
 
     def accept(self, measurement: Measurement, *, driving: bool) -> GateVerdict:
         """Return the verdict on the next frame; ``driving``: a command other than neutral is in force."""
@@ -68,9 +62,6 @@ class PoseGate:
         elif verdict.reason in CONTRADICTIONS and self._last is not None and self._before is not None:
             self._excess.add(self._last, self._before, measurement)
             self._before = measurement
-        self._counts[verdict.reason if not verdict.accepted else "accepted"] += 1
-        if verdict.new_track:
-            self._counts["tracks"] += 1
         return verdict
 
     def _judge(self, frame: Measurement, driving: bool) -> GateVerdict:

@@ -17,10 +17,6 @@ import numpy as np
 from sysid_evo.errors import LinkLost
 from sysid_evo.types import Array
 
-DRIFT_TICKS = 100
-"""Ticks at either end of a run whose median lateness gives its drift."""
-
-
 ROBOT = 4
 """Exit code of a command ended by link, tracker or robot; the command line uses the same for other commands, too."""
 
@@ -73,14 +69,6 @@ class LoopReport:
     @property
     def ticks(self) -> int:
         return len(self.lateness)
-
-    @property
-    def drift(self) -> float:
-        """Increase of the lateness (s) from the first to the last ticks, by their medians; 0 for a run of one tick."""
-        count = min(DRIFT_TICKS, self.ticks // 2)
-        if count == 0:
-            return 0.0
-        return float(np.median(self.lateness[-count:]) - np.median(self.lateness[:count]))
 
     @property
     def sentence(self) -> str:

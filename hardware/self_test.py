@@ -139,7 +139,7 @@ class NeutralObserver(Listener):
             return ()
         age = float(np.mean(ages))
         delays = estimator_delays(self._system, frame_interval=(times[-1] - times[0]) / (len(times) - 1))
-        estimator = max(delay.seconds for delay in delays)
+        estimator = max(delays)
         sentence = (
             f"Poses are {1e3 * age:.1f} ms old when a control is decided and the estimator adds "
             f"{1e3 * estimator:.1f} ms: evolve with --estimator-delay {1e3 * (age + estimator):.0f}ms."

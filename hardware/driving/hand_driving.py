@@ -171,7 +171,7 @@ class HumanPilot(Pilot):
         self.origin = origin
         self._keyboard = keyboard
         self._task = task
-        self._state: TaskState = task.begin(np.array([seed], dtype=np.uint64))
+        self.task_state: TaskState = task.begin(np.array([seed], dtype=np.uint64))
         self._tape = TrialLog()
         self._rest = StandstillDetector()
         self._began = 0
@@ -182,11 +182,6 @@ class HumanPilot(Pilot):
     def fitness(self) -> float | None:
         """The fitness of the trial; None if it was not driven to its end."""
         return self.progress.score if self.progress.phase is Phase.FINISHED else None
-
-    @property
-    def task_state(self) -> TaskState:
-        """State of the trial."""
-        return self._state
 
     def in_arena(self, pose: Array) -> Array:
         """Return a pose of the tracker (3,) relative to the task's origin, which is this pose until there is one."""
@@ -221,21 +216,21 @@ class HumanPilot(Pilot):
         self._began = tick
         if self.origin is None:
             self.origin = estimate.pose
-        self._state = replace(self._state, pose=self.in_arena(estimate.pose)[None])
+        self.task_state = replace(self.task_state, pose=self.in_arena(estimate.pose)[None])
 
     def _drive(self, step: int, estimate: StateEstimate, keys: int) -> Array | None:
         """Return the control for ``step`` of the trial, or None if it is over."""
         pose, tape = self.in_arena(estimate.pose), self._tape
         if tape.states:
-            self._state, _ = self._task.advance(
-                self._state,
+            self.task_state, _ = self._task.advance(
+                self.task_state,
                 tape.states[-1][None],
                 estimate.state[None],
                 control=tape.controls[-1][None],
                 pose=pose[None],
             )
         tape.note(step, estimate.state, pose)
-        if step >= self._task.horizon or not self._state.alive[0]:
+        if step >= self._task.horizon or not self.task_state.alive[0]:
             self.progress = self._progress(Phase.FINISHED)
             return None
         control = control_of_keys(keys, self._task.system)
@@ -244,8 +239,8 @@ class HumanPilot(Pilot):
         return control
 
     def _progress(self, phase: Phase) -> Reading:
-        step, score = self._tape.ticks[-1] if self._tape.ticks else 0, float(self._task.fitness(self._state)[0])
-        return Reading(phase=phase, step=step, score=score, waypoint=self._task.scene(self._state, 0).next_marker)
+        step, score = self._tape.ticks[-1] if self._tape.ticks else 0, float(self._task.fitness(self.task_state)[0])
+        return Reading(phase=phase, step=step, score=score, waypoint=self._task.scene(self.task_state, 0).next_marker)
 
 
 RATE_SPAN = 0.5  # s over which the rate of the tracker is measured

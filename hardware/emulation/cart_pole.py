@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -77,14 +77,8 @@ class CartPolePhysics(ScalarPhysics):
     sensors: ClassVar[Mapping[str, Sensor]] = {"position": Sensor(0.0002, 0.0001), "angle": Sensor(0.0005, ENCODER)}
     estimated_rates: ClassVar[Mapping[str, str]] = {"speed": "position", "angular_speed": "angle"}
     law = cart_pole_step
+    nominal = CartPoleParameters()
     n_carry = 5
-
-    def __init__(self, parameters: CartPoleParameters | None = None) -> None:
-        self.parameters = CartPoleParameters() if parameters is None else parameters
-
-    @property
-    def numbers(self) -> Array:
-        return np.array([*astuple(self.parameters), -math.expm1(-FINE_DT / self.parameters.motor_lag)])
 
     def release_state(self, rng: np.random.Generator) -> Array:
         """Return the cart in the middle and the pole at any angle, held at rest."""

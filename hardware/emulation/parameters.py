@@ -7,7 +7,7 @@ from typing import Any, Self, TypeVar
 
 import numpy as np
 
-from hardware.arguments import check_seed as checked_seed
+from hardware.arguments import check_integer
 from sysid_evo.errors import InvalidArgument
 
 
@@ -42,10 +42,13 @@ class RobotParameters:
         return replace(self, **drawn)
 
 
+LARGEST_SEED = 2**64 - 1
 P = TypeVar("P", bound=RobotParameters)
 
 
 def of_kind(name: str, nominal: P, seed: int | None) -> tuple[str, P]:
     """Return name and parameters of the registered robot ``name``; with a ``seed``, of a variant of it."""
-    seed = checked_seed(f"robot {name}", seed)
-    return (name, nominal) if seed is None else (f"{name}:{seed}", nominal.perturbed(seed))
+    if seed is None:
+        return name, nominal
+    check_integer(f"robot {name}: seed", seed, minimum=0, maximum=LARGEST_SEED)
+    return f"{name}:{seed}", nominal.perturbed(seed)

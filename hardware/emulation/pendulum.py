@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -66,14 +66,8 @@ class PendulumPhysics(ScalarPhysics):
     sensors: ClassVar[Mapping[str, Sensor]] = {"angle": Sensor(0.0005, ENCODER)}
     estimated_rates: ClassVar[Mapping[str, str]] = {"angular_speed": "angle"}
     law = pendulum_step
+    nominal = PendulumParameters()
     n_carry = 3
-
-    def __init__(self, parameters: PendulumParameters | None = None) -> None:
-        self.parameters = PendulumParameters() if parameters is None else parameters
-
-    @property
-    def numbers(self) -> Array:
-        return np.array([*astuple(self.parameters), -math.expm1(-FINE_DT / self.parameters.motor_lag)])
 
     def release_state(self, rng: np.random.Generator) -> Array:
         """Return any angle, held at rest."""

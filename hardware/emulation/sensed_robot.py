@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
 from hardware.connection import Measurement
 from hardware.emulation.held_control import HeldControl
-from hardware.emulation.simulated_robot import SimulatedConnection, SimulatedRobot
+from hardware.emulation.parameters import RobotParameters
+from hardware.emulation.simulated_robot import PhysicsConnection, SimulatedRobot
 from hardware.recording.manoeuvres import Manoeuvre, excitation_manoeuvres
 from hardware.recording.record import RecordingJob, RecordingResult, prepare_logs
 from hardware.run_report import LoopReport, StopReason, StopRequest
@@ -21,7 +23,7 @@ from sysid_evo.data.preparation import REACH, STENCIL, RawLog
 from sysid_evo.errors import InvalidSystem, LinkLost
 from sysid_evo.kernels import DynamicsKernel, ScalarStep
 from sysid_evo.laws import array_form
-from sysid_evo.models.dynamics import PlainDynamics, started
+from sysid_evo.models.dynamics import PlainDynamics, rk4
 from sysid_evo.system import System
 from sysid_evo.types import Array, check_shape
 
@@ -64,16 +66,23 @@ class ScalarPhysics(SensedPhysics):
     """Physics of one ``law(x, u, w, p)`` of single numbers for both forms, which returns the next carry.
 
     ``p`` are the `numbers`, ``w`` is the noise, 0 for none. By default the carry is the state and the last control.
+    ``parameters`` are ``nominal`` unless given.
     """
 
     law: ClassVar[Callable[..., Any]]
+    nominal: ClassVar[RobotParameters]
+    lag: ClassVar[str] = "motor_lag"
     n_lags = 1
     n_noise = 1
 
+    def __init__(self, parameters: RobotParameters | None = None) -> None:
+        self.parameters = self.nominal if parameters is None else parameters
+
     @property
-    @abstractmethod
     def numbers(self) -> Array:
-        """The parameters of the law, in its order."""
+        """The parameters of the law in their order, and the share of ``lag`` (s) that a step covers."""
+        share = -math.expm1(-self.system.dt / getattr(self.parameters, self.lag))
+        return np.array([*astuple(self.parameters), share])
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         return np.concatenate([states[:, -1], controls[:, -1]], axis=1)
@@ -123,13 +132,8 @@ class Equations(SensedPhysics):
         return states[:, -1].copy()
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        h = self.system.dt / self.substeps
         for _ in range(self.substeps):
-            k1 = self._rates(carry, control)
-            k2 = self._rates(carry + 0.5 * h * k1, control)
-            k3 = self._rates(carry + 0.5 * h * k2, control)
-            k4 = self._rates(carry + h * k3, control)
-            carry = carry + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+            carry = rk4(lambda states: self._rates(states, control), carry, self.system.dt / self.substeps)
         return carry
 
     def _rates(self, states: Array, controls: Array) -> Array:
@@ -239,38 +243,17 @@ class SensedRobot(SimulatedRobot):
         return values if period is None else np.unwrap(values, period=period)
 
 
-NOISE_BLOCK = 1024  # fine steps of noise drawn at once
+class SensedConnection(PhysicsConnection):
+    """A session with a `SensedRobot`, which has no pose; ``reading`` are the last sensor readings, in order."""
 
-
-class SensedConnection(SimulatedConnection):
-    """A session with a `SensedRobot`: for each frame the physics take one step; there is no pose.
-
-    ``reading`` are the last sensor readings, in order. Noise and draws come from ``seed``; the session begins in
-    ``state`` (nx,), at rest by default.
-    """
+    _physics: SensedPhysics
 
     def __init__(self, name: str, physics: SensedPhysics, *, seed: int | None, state: Array | None = None) -> None:
-        system = physics.system
-        super().__init__(name, system, system.dt)
-        self._physics = physics
-        body, sensors = np.random.SeedSequence(seed).spawn(2)
-        self._rng, self._errors = np.random.default_rng(body), np.random.default_rng(sensors)
-        began = system.neutral_state if state is None else state
-        self._carry = started(physics, began[None], self._rng.standard_normal((1, physics.n_draws)))
-        self._noise = np.empty((0, physics.n_noise))
+        super().__init__(name, physics, seed=seed, state=state)
         self.reading = self._read()
 
-    @property
-    def state(self) -> Array:
-        """The true state (nx,), which a real robot does not report."""
-        return self._carry[0, : self._physics.system.nx].copy()
-
     def _advance(self) -> None:
-        row = self.frame % NOISE_BLOCK
-        if row == 0:
-            self._noise = self._rng.standard_normal((NOISE_BLOCK, self._physics.n_noise))
-        stepped = self._physics.step(self._carry, self.control[None], self._noise[row : row + 1])
-        self._carry, _ = clip_state(stepped, self._physics.state_bounds)
+        self._carry, _ = clip_state(self._stepped(), self._physics.state_bounds)
 
     def _look(self, time: float) -> Measurement:
         self.reading = self._read()

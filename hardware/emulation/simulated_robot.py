@@ -10,9 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from hardware.connection import Connection, GateLimits, Measurement, RobotStatus
+from hardware.connection import Connection, Measurement, RobotStatus
 from hardware.robot import Robot
 from sysid_evo.errors import InvalidArgument, LinkLost
+from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.system import System
 from sysid_evo.types import Array
 
@@ -89,6 +90,39 @@ class SimulatedConnection(Connection):
             raise LinkLost(f"the connection to {self.name!r} is closed: open another with connect()")
 
 
+NOISE_BLOCK = 1024  # frames of noise drawn at once
+
+
+class PhysicsConnection(SimulatedConnection):
+    """A session with physics that take one step for each frame.
+
+    Draws, noise and the errors of sensors come from ``seed``; the session begins in ``state`` (nx,), at rest by
+    default.
+    """
+
+    def __init__(self, name: str, physics: Dynamics, *, seed: int | None, state: Array | None = None) -> None:
+        system = physics.system
+        super().__init__(name, system, system.dt)
+        self._physics = physics
+        body, sensors = np.random.SeedSequence(seed).spawn(2)
+        self._rng, self._errors = np.random.default_rng(body), np.random.default_rng(sensors)
+        began = system.neutral_state if state is None else state
+        self._carry = started(physics, began[None], self._rng.standard_normal((1, physics.n_draws)))
+        self._noise = np.empty((0, physics.n_noise))
+
+    @property
+    def state(self) -> Array:
+        """The true state (nx,), which a real robot does not report."""
+        return self._carry[0, : self._physics.system.nx].copy()
+
+    def _stepped(self) -> Array:
+        """Return the next carry."""
+        row = self.frame % NOISE_BLOCK
+        if row == 0:
+            self._noise = self._rng.standard_normal((NOISE_BLOCK, self._physics.n_noise))
+        return self._physics.step(self._carry, self.control[None], self._noise[row : row + 1])
+
+
 def in_real_time(robot: Robot) -> Robot:
     """Return ``robot`` if its sessions run on the host's clock, else its real-time form."""
     return RealTimeRobot(robot) if isinstance(robot, SimulatedRobot) else robot
@@ -114,16 +148,13 @@ class RealTimeConnection(Connection):
 
     def __init__(self, simulated: SimulatedConnection) -> None:
         self.simulated = simulated
+        self.gate_limits = simulated.gate_limits
         self._began = time.monotonic()
         self._waiting: deque[Measurement] = deque()
 
     @property
     def time(self) -> float:
         return time.monotonic()
-
-    @property
-    def gate_limits(self) -> GateLimits:
-        return self.simulated.gate_limits
 
     @property
     def status(self) -> RobotStatus | None:

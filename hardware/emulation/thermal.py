@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -65,22 +64,17 @@ class ThermalPhysics(ScalarPhysics):
 
     system = SYSTEM
     sensors: ClassVar[Mapping[str, Sensor]] = {"temperature": Sensor(0.05, 0.0625)}
-    estimated_rates: ClassVar[Mapping[str, str]] = {}
     law = thermal_step
+    nominal = ThermalParameters()
+    lag = "power_lag"
+    parameters: ThermalParameters
     n_carry = 3 + LATENCY
     n_lags = LATENCY
-
-    def __init__(self, parameters: ThermalParameters | None = None) -> None:
-        self.parameters = ThermalParameters() if parameters is None else parameters
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         p, block, commands = self.parameters, states[:, -1], controls[:, -LATENCY:, 0]
         element = block + p.loss / p.contact * (block - ROOM)
         return np.concatenate([block, element, commands[:, :1], commands], axis=1)
-
-    @property
-    def numbers(self) -> Array:
-        return np.array([*astuple(self.parameters), -math.expm1(-FINE_DT / self.parameters.power_lag)])
 
     def release_state(self, rng: np.random.Generator) -> Array:
         """Return the block at room temperature, or still warm."""

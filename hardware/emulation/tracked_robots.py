@@ -8,14 +8,12 @@ import numpy as np
 
 from hardware.connection import GateLimits, Measurement
 from hardware.emulation.held_control import HeldControl
-from hardware.emulation.simulated_robot import SimulatedConnection, SimulatedRobot
+from hardware.emulation.simulated_robot import PhysicsConnection, SimulatedConnection, SimulatedRobot
 from sysid_evo.carry import clip_state
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.motion import PlanarBody
 from sysid_evo.types import Array
-
-NOISE_BLOCK = 1024  # frames of noise drawn at once
 
 
 class TrackedRobot(SimulatedRobot):
@@ -39,40 +37,17 @@ class TrackedRobot(SimulatedRobot):
         return TrackedConnection(self.name, self.physics, seed=seed, gate=self.gate)
 
 
-class TrackedConnection(SimulatedConnection):
-    """A session with an emulated robot: for each frame the physics take one step.
-
-    Noise, draws and the tracker's errors come from ``seed``.
-    """
+class TrackedConnection(PhysicsConnection):
+    """A session with an emulated robot under an emulated tracker."""
 
     def __init__(self, name: str, physics: Dynamics, *, seed: int | None, gate: GateLimits | None = None) -> None:
-        system = physics.system
-        self._gate = GateLimits.read(gate)
-        super().__init__(name, system, system.dt)
-        self._physics = physics
-        body, tracker = np.random.SeedSequence(seed).spawn(2)
-        self._rng = np.random.default_rng(body)
-        self._tracker = TrackerErrorModel(np.random.default_rng(tracker))
-        self._carry = started(physics, system.neutral_state[None], self._rng.standard_normal((1, physics.n_draws)))
-        self._noise = np.empty((0, physics.n_noise))
-
-    @property
-    def gate_limits(self) -> GateLimits:
-        return self._gate
-
-    @property
-    def state(self) -> Array:
-        """The true state (nx,), which a real robot does not report."""
-        return self._carry[0, : self._physics.system.nx].copy()
+        super().__init__(name, physics, seed=seed)
+        self.gate_limits = GateLimits.read(gate)
+        self._tracker = TrackerErrorModel(self._errors)
 
     def _advance(self) -> None:
-        physics, system = self._physics, self._physics.system
-        row = self.frame % NOISE_BLOCK
-        if row == 0:
-            self._noise = self._rng.standard_normal((NOISE_BLOCK, physics.n_noise))
-        before, nx = self._carry, system.nx
-        self._carry = physics.step(before, self.control[None], self._noise[row : row + 1])
-        self.pose = system.move(self.pose, before[0, :nx], self._carry[0, :nx])
+        before, self._carry = self.state, self._stepped()
+        self.pose = self._system.move(self.pose, before, self.state)
 
     def _look(self, time: float) -> Measurement:
         pose = self._tracker.observe(self.pose)
@@ -143,6 +118,9 @@ class ModelConnection(SimulatedConnection):
     exact at the ends of a sample and interpolated in between. The body is lost once the state is no longer finite.
     """
 
+    gate_limits = GateLimits(speed=math.inf, yaw_rate=math.inf, jump=math.inf, turn=math.inf, frozen=None)
+    """None: a model has no limits of motion, and its poses have no noise."""
+
     def __init__(self, name: str, dynamics: Dynamics, *, seed: int | None) -> None:
         system = dynamics.system
         super().__init__(name, system, system.dt / FRAMES)
@@ -153,11 +131,6 @@ class ModelConnection(SimulatedConnection):
         self._before = self._after = system.neutral_state
         self._phase = -LEAD
         self._resting = True
-
-    @property
-    def gate_limits(self) -> GateLimits:
-        """None: a model has no limits of motion, and its poses have no noise."""
-        return GateLimits(speed=math.inf, yaw_rate=math.inf, jump=math.inf, turn=math.inf, frozen=None)
 
     def send(self, control: Array, *, valid_for: float) -> None:
         super().send(control, valid_for=valid_for)

@@ -37,11 +37,6 @@ class FrameDecoder:
         self._partial = bytearray()
         self._overlong = False
 
-    @property
-    def buffered(self) -> int:
-        """Number of bytes kept of an unfinished frame."""
-        return len(self._partial)
-
     def feed(self, data: bytes) -> list[bytes]:
         """Return the bodies (type and payload) of the frames that ``data`` completes, in order."""
         *ends, rest = data.split(bytes([DELIMITER]))

@@ -34,16 +34,12 @@ def only_port() -> str:
 
 
 class SerialPort:
-    """An open port, 115200 8N1. Raises `LinkLost` if it is missing, not permitted, in use, or disconnected.
-
-    ``dropped`` counts the outgoing frames for which there was no room; nothing is repeated.
-    """
+    """An open port, 115200 8N1. Raises `LinkLost` if it is missing, not permitted, in use, or disconnected."""
 
     def __init__(self, name: str) -> None:
         import serial
 
         self.name = name
-        self.dropped = 0
         self._torn = False
         try:
             self._serial = serial.Serial(name, BAUD, timeout=0, write_timeout=0, exclusive=True)
@@ -74,7 +70,7 @@ class SerialPort:
         return bytes(data)
 
     def write(self, frames: bytes) -> None:
-        """Pass ``frames`` to the port, or as much of them as there is room for."""
+        """Pass ``frames`` to the port, or as much of them as there is room for; nothing is repeated."""
         if self._torn:
             frames = b"\0" + frames
         try:
@@ -85,7 +81,6 @@ class SerialPort:
             raise LinkLost(f"port {self.name} is gone: {error.strerror}") from error
         if written:
             self._torn = written < len(frames)
-        self.dropped += written < len(frames)
 
     def discard(self) -> None:
         """Discard data that have been written and not sent."""

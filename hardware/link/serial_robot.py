@@ -14,7 +14,7 @@ import numpy as np
 
 from hardware.arguments import check_number, check_text
 from hardware.connection import Connection, GateLimits, Measurement, RobotStatus
-from hardware.link.messages import EXCLUSIVE, Buttons, HelloAcknowledgement
+from hardware.link.messages import EXCLUSIVE, Buttons
 from hardware.link.port import NO_DEVICE, SerialPort, only_port
 from hardware.link.session import HostSession
 from hardware.robot import Robot
@@ -152,7 +152,7 @@ class SerialConnection(Connection):
     def __init__(
         self, port: SerialPort, session: HostSession, tracker: TrackerStream | None, gate: GateLimits | None = None
     ) -> None:
-        self._gate = GateLimits.read(gate)
+        self.gate_limits = GateLimits.read(gate)
         self._port = port
         self._session = session
         self._tracker = tracker
@@ -168,10 +168,6 @@ class SerialConnection(Connection):
         return time.monotonic()
 
     @property
-    def gate_limits(self) -> GateLimits:
-        return self._gate
-
-    @property
     def status(self) -> RobotStatus | None:
         status = self._session.status
         if status is None:
@@ -185,20 +181,9 @@ class SerialConnection(Connection):
         )
 
     @property
-    def acknowledgement(self) -> HelloAcknowledgement:
-        """The robot's message at the start of the session: versions, reset cause, boot count."""
-        assert self._session.acknowledgement is not None
-        return self._session.acknowledgement
-
-    @property
     def round_trip(self) -> float | None:
         """The time in s from the newest answered command to its status."""
         return self._session.round_trip
-
-    @property
-    def counters(self) -> Mapping[str, int]:
-        """Counters of the host: commands, dropped ones, good, damaged and unknown frames."""
-        return {**self._session.counters, "dropped": self._port.dropped}
 
     def send(self, control: Array, *, valid_for: float) -> None:
         buttons = buttons_of(control)

@@ -14,7 +14,6 @@ from hardware.link.messages import (
     CommandMessage,
     Hello,
     HelloAcknowledgement,
-    Message,
     State,
     StatusMessage,
     Stop,
@@ -40,9 +39,7 @@ class HostSession:
         self.status: StatusMessage | None = None
         self.heard = 0.0
         self.round_trip: float | None = None
-        self.commands = 0
         self._decoder = FrameDecoder()
-        self._unknown = 0
         self._sequence = 0
         self._sent: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
         self._last_command: float | None = None
@@ -53,18 +50,6 @@ class HostSession:
     def is_open(self) -> bool:
         """Whether the robot has answered the HELLO with a session."""
         return self.acknowledgement is not None and self.acknowledgement.session != 0
-
-    @property
-    def counters(self) -> dict[str, int]:
-        """Number of commands sent and of frames received: good, damaged and unknown ones."""
-        decoder = self._decoder
-        return {
-            "commands": self.commands,
-            "frames": decoder.frames,
-            "crc": decoder.crc_errors,
-            "length": decoder.length_errors,
-            "unknown": self._unknown,
-        }
 
     def hello(self) -> bytes:
         """Return the frame that asks for the session; a repetition is the same request for the robot."""
@@ -80,8 +65,6 @@ class HostSession:
                     self.heard = now
             elif isinstance(message, StatusMessage):
                 self._reported(message, now)
-            else:
-                self._unknown += 1
 
     def check(self, now: float) -> None:
         """Raise `LinkLost` if the session has ended, or the robot has tripped or has been silent for too long.
@@ -132,10 +115,9 @@ class HostSession:
         assert self.acknowledgement is not None
         self._sequence = (self._sequence + 1) % 65536
         self._sent.append((self._sequence, now))
-        self.commands += 1
         host_ms = int(now * 1000.0) % 65536
-        message: Message = CommandMessage(self.acknowledgement.session, self._sequence, host_ms, buttons, time_to_live)
-        return encode(message.pack())
+        command = CommandMessage(self.acknowledgement.session, self._sequence, host_ms, buttons, time_to_live)
+        return encode(command.pack())
 
     def _reported(self, message: StatusMessage, now: float) -> None:
         if self.acknowledgement is None:

@@ -72,11 +72,6 @@ def seal(kind: RecordKind, payload: bytes) -> bytes:
     return record + CHECK.pack(zlib.crc32(record))
 
 
-def pack_header(header: Mapping[str, Any]) -> bytes:
-    """Return the payload of a header."""
-    return json.dumps(header, allow_nan=False).encode()
-
-
 def pack_frame(frame: Measurement) -> bytes:
     """Return the payload of a frame."""
     body = _text(frame.body, 255)
@@ -167,7 +162,8 @@ class JournalWriter(Closeable):
             raise InvalidArgument(TAKEN.format(path)) from None
         self._size = 0
         self._folder = path.parent
-        self.append(MAGIC + seal(RecordKind.HEADER, pack_header({"schema": SCHEMA, **header})))
+        described = json.dumps({"schema": SCHEMA, **header}, allow_nan=False).encode()
+        self.append(MAGIC + seal(RecordKind.HEADER, described))
 
     def append(self, record: bytes) -> None:
         """Write a sealed record completely or not at all. Raises `OSError`."""

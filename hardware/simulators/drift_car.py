@@ -73,8 +73,6 @@ class DriftCarSimulator(ExternalSimulator):
     model: str
     vehicle: int
     parameters: Any
-    rewarded: ClassVar[bool] = False
-    settable: bool = True
 
     @classmethod
     def describe(cls, model: str, vehicle: int, dt: float) -> DriftCarSimulator:
@@ -135,9 +133,6 @@ class DriftCarSession(SimulatorSession):
         self._state = state
         after = self._measured()
         return after, 0.0, not SLOWEST <= after[0] <= FASTEST, False
-
-    def close(self) -> None:
-        self._state = np.zeros(0)
 
     def _measured(self) -> Array:
         x = self._state

@@ -87,6 +87,7 @@ class GymnasiumSimulator(ExternalSimulator):
     actions: ActionMap
     setter: StateSetter | None
     settable: bool
+    rewarded: ClassVar[bool] = True
 
     @classmethod
     def describe(

@@ -214,7 +214,7 @@ def raw_interface(
         size = env.observation_space.shape
         assert size is not None
         channels = tuple(_channel(env.observation_space, i) for i in range(size[0]))
-        return RawInterface(channels, tuple(values), *_actions(env.action_space))
+        return RawInterface(channels, tuple(values), *_actions(f"environment {name}", env.action_space))
     finally:
         env.close()
 
@@ -223,24 +223,16 @@ def _channel(space: gymnasium.Space[Any], place: int) -> Channel:
     return _limited(f"observation_{place}", *(float(getattr(space, side)[place]) for side in ("low", "high")))
 
 
-def _actions(space: gymnasium.Space[Any]) -> tuple[tuple[tuple[int, ...] | None, ...], str, tuple[int, ...]]:
+def _actions(what: str, space: gymnasium.Space[Any]) -> tuple[tuple[tuple[int, ...] | None, ...], str, tuple[int, ...]]:
     """Return raw actions of the levels of each control, and type and shape of an action."""
     from gymnasium import spaces
 
+    channels = control_channels(what, space)
+    raw = tuple(None if channel.levels is None else tuple(map(int, channel.levels)) for channel in channels)
     if isinstance(space, spaces.Discrete):
-        return (tuple(int(space.start) + i for i in range(int(space.n))),), "integer", ()
-    if isinstance(space, spaces.MultiDiscrete):
-        starts = [int(first) for first in getattr(space, "start", [0] * len(space.nvec))]
-        found = tuple(tuple(a + i for i in range(int(n))) for a, n in zip(starts, space.nvec, strict=True))
-        return found, "integers", (len(found),)
-    if isinstance(space, spaces.MultiBinary):
-        return ((0, 1),) * int(space.shape[0]), "integers", (int(space.shape[0]),)
-    assert isinstance(space, spaces.Box)
-    shape = tuple(int(n) for n in space.shape)
-    count = 1
-    for n in shape:
-        count *= n
-    return (None,) * count, "array", shape
+        return raw, "integer", ()
+    assert space.shape is not None
+    return raw, "array" if isinstance(space, spaces.Box) else "integers", tuple(int(n) for n in space.shape)
 
 
 TRIED_STEPS = 200

@@ -73,8 +73,6 @@ class MujocoSimulator(ExternalSimulator):
     start: Array
     free: Joint | None
     joints: tuple[Joint, ...]
-    rewarded: ClassVar[bool] = False
-    settable: bool = True
 
     @classmethod
     def describe(cls, file: str, dt: float | None) -> MujocoSimulator:
@@ -135,9 +133,6 @@ class MujocoSession(SimulatorSession):
         """Warnings after which MuJoCo resets a simulation."""
         kinds = self._mujoco.mjtWarning
         return int(kinds.mjWARN_BADQPOS), int(kinds.mjWARN_BADQVEL), int(kinds.mjWARN_BADQACC)
-
-    def close(self) -> None:
-        self._mujoco.mj_resetData(self._simulator.model, self._data)
 
     def _measured(self) -> Array:
         data, free, found = self._data, self._simulator.free, []

@@ -69,8 +69,6 @@ class QuadrotorSimulator(ExternalSimulator):
     system: System
     command: str
     parameters: Mapping[str, Any]
-    rewarded: ClassVar[bool] = False
-    settable: bool = True
 
     @classmethod
     def describe(cls, vehicle: str, command: str, gain: float, dt: float) -> QuadrotorSimulator:
@@ -127,9 +125,6 @@ class QuadrotorSession(SimulatorSession):
         after = self._measured()
         fast = np.abs(after[:3]).max() > FASTEST or np.abs(after[3:6]).max() > FASTEST_TURN
         return after, 0.0, bool(fast or after[8] < 0.0), False
-
-    def close(self) -> None:
-        self._state = {}
 
     def _measured(self) -> Array:
         x, y, z, w = self._state["q"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from hardware.run_report import LoopReport, StopReason, StopRequest
 from hardware.simulators.simulator import LONGEST_SEED, ExternalSimulator, SimulatorSession, ending_of
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
-from sysid_evo.progress import Progress
+from sysid_evo.progress import Counter
 from sysid_evo.system import System
 from sysid_evo.types import Array
 
@@ -42,12 +42,12 @@ def record_simulator(simulator: ExternalSimulator, duration: float, job: Recordi
     episodes: list[Trajectory] = []
     tried: list[tuple[int, Array]] = []
     reason, detail, done = StopReason.SAMPLES, "", 0
+    counter = Counter(job.progress, len(SCRIPTS) * each)
     try:
         with simulator.open() as session:
-            for number, name in enumerate(SCRIPTS):
+            for name in SCRIPTS:
                 script = _script(name, simulator, episodes, tried, rng.spawn(1)[0])
-                counted = _counter(job.progress, number * each, len(SCRIPTS) * each)
-                made = enumerate(_episodes(session, simulator, script, each, rng, counted, stop), start=1)
+                made = enumerate(_episodes(session, simulator, script, each, rng, counter, stop), start=1)
                 for count, (states, controls, rewards, ending) in made:
                     done += len(controls)
                     if len(controls) >= SHORTEST:
@@ -112,11 +112,11 @@ def _episodes(
     script: ExcitationScript,
     steps: int,
     rng: np.random.Generator,
-    counted: Callable[[int], None],
+    counter: Counter,
     stop: StopRequest,
 ) -> Iterator[tuple[list[Array], list[Array], list[float], str]]:
     """Yield states, controls, rewards and ending of each episode, ``steps`` in all, fewer if it is stopped."""
-    system, done, lasted = simulator.system, 0, 0
+    system, done, lasted, before = simulator.system, 0, 0, counter.done
     while done < steps and stop.reason is None:
         with stop.answer(simulator.name):
             states, controls, rewards = [session.reset(int(rng.integers(LONGEST_SEED)))], [], []
@@ -134,12 +134,8 @@ def _episodes(
             rewards.append(reward)
             ended, ending = over or late, ending_of(over, late)
         lasted = len(controls)
-        counted(done)
+        counter.advance(before + done - counter.done)
         yield states, controls, rewards, ending
-
-
-def _counter(progress: Progress | None, before: int, total: int) -> Callable[[int], None]:
-    return lambda done: None if progress is None else progress(before + done, total)
 
 
 SWEEP = 200

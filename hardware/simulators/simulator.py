@@ -41,8 +41,8 @@ class ExternalSimulator(ABC):
 
     name: str
     system: System
-    settable: bool
-    rewarded: ClassVar[bool] = True
+    settable: bool = True
+    rewarded: ClassVar[bool] = False
 
     @abstractmethod
     def open(self) -> SimulatorSession:
@@ -59,6 +59,9 @@ class SimulatorSession(Closeable):
     @abstractmethod
     def step(self, control: Array) -> tuple[Array, float, bool, bool]:
         """Return the next state (nx,), the reward, whether the episode ended there, and whether its time is up."""
+
+    def close(self) -> None:
+        """End the session; does nothing by default."""
 
 
 def ending_of(over: bool, late: bool) -> str:

@@ -61,7 +61,44 @@ class SimulatorRobot(Robot):
         self, *, seconds: float, seed: int | None = None, stop: StopRequest | None = None
     ) -> tuple[SelfTestFinding, ...]:
         """Report its channels, and how episodes run under random controls for ``seconds`` of its own time."""
-        return simulator_findings(self.simulator, seconds=seconds, seed=seed or 0, stop=stop)
+        simulator, system = self.simulator, self.system
+        stop = StopRequest() if stop is None else stop
+        states, controls = (", ".join(map(describe_channel, channels)) for channels in (system.states, system.controls))
+        sentence = f"States: {states}. Controls: {controls}. One step is {system.dt:g} s; it does not run in real time."
+        rng, steps = np.random.default_rng(seed or 0), max(FEWEST, round(seconds / system.dt))
+        lengths, seen, rewards = [0], [], []
+        began = time.perf_counter()
+        with simulator.open() as session:
+            with stop.answer(simulator.name):
+                seen.append(session.reset(int(rng.integers(LONGEST_SEED))))
+            for _ in range(steps):
+                if stop.reason is not None:
+                    break
+                control = system.actuate(rng.uniform(-1.0, 1.0, system.nu))
+                with stop.answer(simulator.name):
+                    state, reward, ended, late = session.step(control)
+                lengths[-1] += 1
+                seen.append(state)
+                rewards.append(reward)
+                if ended or late:
+                    lengths.append(0)
+                    with stop.answer(simulator.name):
+                        seen.append(session.reset(int(rng.integers(LONGEST_SEED))))
+        took = time.perf_counter() - began
+        low, high = np.min(seen, axis=0), np.max(seen, axis=0)
+        ranges = [f"{c.name} {spelled_range(a, b)}" for c, a, b in zip(system.states, low, high, strict=True)]
+        over = lengths[:-1]
+        episodes = f"{len(over)} episodes ended, after {min(over)} to {max(over)} steps" if over else "No episode ended"
+        reward_range = (
+            f"rewards from {min(rewards):.3g} to {max(rewards):.3g} a step" if rewards else "no step was taken"
+        )
+        counted = f"{episodes}, in {len(rewards)} steps"
+        return (
+            SelfTestFinding("system", True, sentence, {"dt": system.dt}),
+            SelfTestFinding("states", bool(np.isfinite(seen).all()), f"Under random controls: {', '.join(ranges)}."),
+            SelfTestFinding("episodes", True, f"{counted}; {reward_range}." if simulator.rewarded else f"{counted}."),
+            SelfTestFinding("speed", True, f"{len(rewards) / took:.0f} steps a second.", {"seconds": took}),
+        )
 
     def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
         """Return none, since excitation of an environment depends on its state; a short ``duration`` is an error."""
@@ -77,45 +114,3 @@ FEWEST = 200
 """Minimum number of steps that are tried."""
 TIMED_STEPS, TIMED_SECONDS = 200, 0.2
 """The number of steps, or the time in s, after which a timing ends."""
-
-
-def simulator_findings(
-    simulator: ExternalSimulator, *, seconds: float, seed: int, stop: StopRequest | None = None
-) -> tuple[SelfTestFinding, ...]:
-    """Step the simulator under random controls for ``seconds`` of its time; a stop from outside ends it."""
-    system = simulator.system
-    states, controls = (", ".join(map(describe_channel, channels)) for channels in (system.states, system.controls))
-    sentence = f"States: {states}. Controls: {controls}. One step is {system.dt:g} s; it does not run in real time."
-    rng, steps = np.random.default_rng(seed), max(FEWEST, round(seconds / system.dt))
-    lengths, seen, rewards = [0], [], []
-    began = time.perf_counter()
-    stop = StopRequest() if stop is None else stop
-    with simulator.open() as session:
-        with stop.answer(simulator.name):
-            seen.append(session.reset(int(rng.integers(LONGEST_SEED))))
-        for _ in range(steps):
-            if stop.reason is not None:
-                break
-            control = system.actuate(rng.uniform(-1.0, 1.0, system.nu))
-            with stop.answer(simulator.name):
-                state, reward, ended, late = session.step(control)
-            lengths[-1] += 1
-            seen.append(state)
-            rewards.append(reward)
-            if ended or late:
-                lengths.append(0)
-                with stop.answer(simulator.name):
-                    seen.append(session.reset(int(rng.integers(LONGEST_SEED))))
-    took = time.perf_counter() - began
-    low, high = np.min(seen, axis=0), np.max(seen, axis=0)
-    ranges = [f"{c.name} {spelled_range(a, b)}" for c, a, b in zip(system.states, low, high, strict=True)]
-    over = lengths[:-1]
-    episodes = f"{len(over)} episodes ended, after {min(over)} to {max(over)} steps" if over else "No episode ended"
-    reward_range = f"rewards from {min(rewards):.3g} to {max(rewards):.3g} a step" if rewards else "no step was taken"
-    counted = f"{episodes}, in {len(rewards)} steps"
-    return (
-        SelfTestFinding("system", True, sentence, {"dt": system.dt}),
-        SelfTestFinding("states", bool(np.isfinite(seen).all()), f"Under random controls: {', '.join(ranges)}."),
-        SelfTestFinding("episodes", True, f"{counted}; {reward_range}." if simulator.rewarded else f"{counted}."),
-        SelfTestFinding("speed", True, f"{len(rewards) / took:.0f} steps a second.", {"seconds": took}),
-    )

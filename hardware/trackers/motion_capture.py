@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MotionCaptureTracker(ProcessTracker):
-    """The rigid body ``body`` of the system ``kind`` at ``host``.
+    """The rigid body ``body`` of the system at ``host``.
 
     ``up`` is the vertical axis, ``scale`` the unit of length in m; ``heading_offset`` rad are added to the heading. The
     package gives no time stamps, neither of the frame nor of its arrival: frames are stamped when they arrive, and
@@ -44,28 +44,22 @@ class MotionCaptureTracker(ProcessTracker):
     heading_offset: float = 0.0
     latency: float = 0.0
     requires: ClassVar[tuple[str, ...]] = ("motioncapture",)
-    kind: ClassVar[str]
     polls: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        check_text(f"tracker {self.kind}: body", self.body)
-        check_text(f"tracker {self.kind}: host", self.host)
-        check_number(f"tracker {self.kind}: latency", self.latency, minimum=0.0)
+        check_text(f"tracker {self.name}: body", self.body)
+        check_text(f"tracker {self.name}: host", self.host)
+        check_number(f"tracker {self.name}: latency", self.latency, minimum=0.0)
         self._axes()
-
-    @property
-    def settings(self) -> dict[str, str]:
-        """Settings of the system for the package."""
-        return {"hostname": self.host}
 
     def frames(self) -> Iterator[Measurement | None]:
         import motioncapture
 
         axes = self._axes()
         try:
-            system = motioncapture.connect(self.kind, self.settings)
+            system = motioncapture.connect(self.name, {"hostname": self.host})
         except RuntimeError as error:
-            raise LinkLost(f"no {self.kind} system answers at {self.host}: {error}") from error
+            raise LinkLost(f"no {self.name} system answers at {self.host}: {error}") from error
         yield None
         number, last = 0, b""
         while True:
@@ -94,7 +88,6 @@ class ViconTracker(MotionCaptureTracker):
     """A body of a Vicon system, from its data stream at ``host`` (``name`` or ``name:port``)."""
 
     name = "vicon"
-    kind: ClassVar[str] = "vicon"
 
 
 @register_tracker("vrpn")
@@ -103,7 +96,6 @@ class VrpnTracker(MotionCaptureTracker):
     """A body of a VRPN server at ``host`` (``name`` or ``name:port``), which is polled 200 times a second."""
 
     name = "vrpn"
-    kind: ClassVar[str] = "vrpn"
     polls: ClassVar[bool] = True
 
 

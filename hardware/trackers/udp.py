@@ -8,7 +8,6 @@ import math
 import select
 import socket
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -67,7 +66,7 @@ class UdpTracker(Tracker):
 
 
 class UdpStream(TrackerStream):
-    """An open socket. ``counters`` are the numbers of datagrams that became frames, and of others by reason."""
+    """An open socket; datagrams that are no frame of the body are left out."""
 
     def __init__(self, tracker: UdpTracker, receiver: socket.socket) -> None:
         self._tracker = tracker
@@ -75,18 +74,12 @@ class UdpStream(TrackerStream):
         self._clock = SourceClock()
         self._restarts = 0
         self._newest = -math.inf
-        self._counts = dict.fromkeys(("frames", "malformed", "other_body", "other_sender", "out_of_order", "future"), 0)
 
     @property
     def address(self) -> tuple[str, int]:
         """Host and port of the socket."""
         host, port = self._socket.getsockname()
         return str(host), int(port)
-
-    @property
-    def counters(self) -> Mapping[str, int]:
-        """Number of datagrams by result."""
-        return {**self._counts, "clock_restarts": self._clock.restarts}
 
     def read(self, timeout: float) -> Measurement | None:
         deadline = time.monotonic() + timeout
@@ -114,34 +107,26 @@ class UdpStream(TrackerStream):
             return None
         arrival = time.monotonic()
         if self._tracker.sender is not None and sender != self._tracker.sender:
-            self._counts["other_sender"] += 1
             return None
         try:
             message = parse_message(data)
         except InvalidData:
-            self._counts["malformed"] += 1
             return None
-        if message.body != self._tracker.body:
-            self._counts["other_body"] += 1
-            return None
-        return self._stamp(message, arrival)
+        return self._stamp(message, arrival) if message.body == self._tracker.body else None
 
     def _stamp(self, message: FrameMessage, arrival: float) -> Measurement | None:
         """Return ``message`` with its times on the host's clock, None if out of order or with an impossible time."""
         if self._tracker.clock == "host":
             source = message.time
             if source > arrival + FUTURE:
-                self._counts["future"] += 1
                 return None
         else:
             source = self._clock.map(message.time, arrival)
             if self._clock.restarts > self._restarts:
                 self._restarts, self._newest = self._clock.restarts, -math.inf
         if message.time <= self._newest:
-            self._counts["out_of_order"] += 1
             return None
         self._newest = message.time
-        self._counts["frames"] += 1
         return Measurement(source, arrival, message.frame, message.body, message.valid, message.pose)
 
 

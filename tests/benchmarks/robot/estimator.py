@@ -18,7 +18,6 @@ from hardware.emulation.tracked_robots import TrackedConnection
 from hardware.estimator import (
     LAG,
     WINDOW,
-    EstimatorDelay,
     PoseEstimator,
     StateEstimate,
     estimator_delays,
@@ -56,8 +55,8 @@ class Script(Pilot):
         return self.controls[tick]
 
 
-def measure(*, window: float, lag: float, seconds: float, seed: int) -> tuple[EstimatorDelay, ...]:
-    """Return the delay of the estimates on the emulated car."""
+def measure(*, window: float, lag: float, seconds: float, seed: int) -> list[tuple[float, float, float]]:
+    """Return the delay (s) of each estimate on the emulated car, its error with the delay taken out, and as it is."""
     robot = make_robot("emulated_car")
     system = robot.system
     truth: tuple[list[float], list[Array]] = ([], [])
@@ -75,23 +74,14 @@ def measure(*, window: float, lag: float, seconds: float, seed: int) -> tuple[Es
                 kept[0].extend(offset + time for time in heard.times)
                 kept[1].extend(heard.states)
             offset += connection.time + robot.system.dt
-    return measure_delays(system, *(np.array(part) for part in (*truth, *known)))
-
-
-def table(title: str, delays: tuple[EstimatorDelay, ...]) -> Table:
-    """Return the delays as a table."""
-    shown = Table(title=title)
-    for head in ("state", "delay", "correlation", "error, delay taken out", "error, as it is used"):
-        shown.add_column(head, justify="left" if head == "state" else "right")
-    for d in delays:
-        shown.add_row(
-            d.channel,
-            f"{1000 * d.seconds:.1f} ms",
-            f"{d.correlation:.4f}",
-            f"{d.error:.3f} {d.unit}",
-            f"{d.error_now:.3f} {d.unit}",
-        )
-    return shown
+    times, states, asked, estimates = (np.array(part) for part in (*truth, *known))
+    found = []
+    for delay, true, estimated in zip(
+        measure_delays(system, times, states, asked, estimates), states.T, estimates.T, strict=True
+    ):
+        off = [estimated - np.interp(asked - shift, times, true) for shift in (delay, 0.0)]
+        found.append((delay, *(float(np.sqrt(np.mean(one**2))) for one in off)))
+    return found
 
 
 def main() -> None:
@@ -103,11 +93,18 @@ def main() -> None:
     options = parser.parse_args()
     out = Console()
     system = make_robot("emulated_car").system
-    out.print(table("Known drive, 200 frames/s, no noise", estimator_delays(system, frame_interval=0.005)))
+    known = ", ".join(f"{1000 * delay:.1f} ms" for delay in estimator_delays(system, frame_interval=0.005))
+    out.print(f"Known drive, 200 frames/s, no noise: {known}")
     for window in options.window:
         for lag in options.lag:
-            delays = measure(window=window, lag=lag, seconds=options.seconds, seed=options.seed)
-            out.print(table(f"Emulated car, window {1000 * window:.0f} ms, lag {1000 * lag:.0f} ms", delays))
+            shown = Table(title=f"Emulated car, window {1000 * window:.0f} ms, lag {1000 * lag:.0f} ms")
+            for head in ("state", "delay", "error, delay taken out", "error, as it is used"):
+                shown.add_column(head, justify="left" if head == "state" else "right")
+            found = measure(window=window, lag=lag, seconds=options.seconds, seed=options.seed)
+            for channel, (delay, apart, now) in zip(system.states, found, strict=True):
+                errors = (f"{error:.3f} {channel.unit}" for error in (apart, now))
+                shown.add_row(channel.name, f"{1000 * delay:.1f} ms", *errors)
+            out.print(shown)
 
 
 if __name__ == "__main__":

@@ -78,7 +78,6 @@ def test_robot_drives_on_at_twenty_hertz(wire):
         wire.wait(0.05)
     assert wire.session.status.state == State.DRIVING
     assert set(wire.session.status.counters.values()) == {0}
-    assert wire.session.counters["crc"] == wire.session.counters["length"] == wire.session.counters["unknown"] == 0
 
 
 def test_sequence_numbers_run_over_their_end(wire):

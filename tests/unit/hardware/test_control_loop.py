@@ -12,7 +12,7 @@ from hardware.emulation.tracked_robots import TrackedRobot
 from hardware.recording.journal import read_journal
 from hardware.recording.manoeuvres import Manoeuvre
 from hardware.recording.record import record_journals
-from hardware.run_report import LoopReport, StopReason
+from hardware.run_report import StopReason
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.models import Dynamics
 from sysid_evo.motion import PlanarBody
@@ -50,7 +50,7 @@ def test_pilot_is_asked_once_a_sample_and_its_control_drives(drive):
     assert (drive.script.ticks, report.ticks) == (list(range(40)), 40)
     assert np.allclose(report.gaps, 0.05)
     assert np.allclose(report.lateness, 0.0, atol=1e-9)
-    assert (report.skipped, report.stale, report.drift) == (0, 0, 0.0)
+    assert (report.skipped, report.stale) == (0, 0)
     driven = moving(drive.diary)
     assert [command.tick for command in driven] == list(range(40))
     assert all(command.time == pytest.approx(command.due) for command in driven)
@@ -177,12 +177,6 @@ def test_jump_within_a_dropout_begins_a_new_track_and_nothing_is_computed_across
     assert 1 < report.stale < 6
     assert np.abs([estimate.state[1] for estimate in drive.script.estimates]).max() < 0.2
     assert drive.script.estimates[-1].pose[1] > 0.2
-
-
-def test_drift_is_how_much_later_the_last_ticks_are_than_the_first():
-    lateness = np.concatenate([np.full(150, 0.001), np.full(150, 0.004)])
-    assert LoopReport(StopReason.SAMPLES, "", lateness, np.full(299, 0.05)).drift == pytest.approx(0.003)
-    assert LoopReport(StopReason.SAMPLES, "", lateness[:1], np.empty(0)).drift == 0.0
 
 
 class Sled(Dynamics):

@@ -96,7 +96,6 @@ def test_nothing_is_known_before_the_window_is_covered_and_after_a_restart():
     assert seen(times[:12], circle(times[:12])).estimate(times[11]) is None
     estimator = seen(times, circle(times))
     estimator.restart()
-    assert estimator.newest is None
     assert estimator.estimate(times[-1]) is None
 
 
@@ -131,8 +130,7 @@ def test_dropout_of_90_ms_leaves_an_estimate_at_every_frame_after_it():
 @pytest.mark.parametrize("frame_interval", [0.005, 0.01])
 def test_measured_delay_is_the_lag(frame_interval):
     for delay in estimator_delays(CAR, frame_interval=frame_interval):
-        assert delay.seconds == pytest.approx(LAG, abs=0.001)
-        assert delay.error < 0.1 * delay.error_now
+        assert delay == pytest.approx(LAG, abs=0.001)
 
 
 def test_delay_of_a_shifted_truth_is_the_shift():
@@ -143,8 +141,7 @@ def test_delay_of_a_shifted_truth_is_the_shift():
     shifts = (0.0, 0.0123, 0.15)
     columns = [np.interp(asked - shift, times, states[:, i]) for i, shift in enumerate(shifts)]
     found = measure_delays(CAR, times, states, asked, np.stack(columns, axis=1))
-    assert [d.channel for d in found] == list(CAR.state_names)
-    np.testing.assert_allclose([d.seconds for d in found], shifts, atol=2e-4)
+    np.testing.assert_allclose(found, shifts, atol=2e-4)
 
 
 def test_systems_that_poses_do_not_determine_are_refused():

@@ -51,7 +51,7 @@ def _takes(stream, cut):
     decoder = FrameDecoder()
     for start in range(0, len(stream), cut):
         decoder.feed(stream[start : start + cut])
-        assert decoder.buffered <= ENCODED_MAX
+        assert len(decoder._partial) <= ENCODED_MAX
     assert decoder.feed(b"\0" + encode(b"after"))[-1] == b"after"
     pieces = sum(1 for piece in stream.split(b"\0") if piece)
     assert decoder.frames + decoder.crc_errors + decoder.length_errors == pieces + 1

@@ -119,10 +119,9 @@ def test_times_on_the_hosts_clock_are_taken_as_they_are(stream, sender):
     sender.frame(now + 60.0, 2)
     assert stream.read(1.0).source_time == now - 0.004
     assert stream.read(0.05) is None
-    assert stream.counters["future"] == 1
 
 
-def test_what_is_no_frame_of_the_body_is_counted_and_skipped(stream, sender):
+def test_what_is_no_frame_of_the_body_is_skipped(stream, sender):
     sender.send(b"\xff\x00garbage")
     sender.send(b"[" * 1000)
     sender.send(b"")
@@ -132,10 +131,7 @@ def test_what_is_no_frame_of_the_body_is_counted_and_skipped(stream, sender):
     sender.frame(1.05, 1)
     sender.frame(1.2, 3, valid=False)
     assert [stream.read(1.0).frame for _ in range(2)] == [2, 3]
-    assert stream.counters == {
-        "frames": 2, "malformed": 3, "other_body": 1, "other_sender": 0, "out_of_order": 2, "future": 0,
-        "clock_restarts": 0,
-    }  # fmt: skip
+    assert stream.read(0.05) is None
 
 
 def test_restarted_source_is_followed(stream, sender):
@@ -164,7 +160,6 @@ def test_flood_of_garbage_does_not_hold_up_a_read(stream, sender):
 def test_other_senders_are_refused(stream, sender):
     sender.frame(1.0, 1)
     assert stream.read(0.05) is None
-    assert stream.counters["other_sender"] == 1
 
 
 def test_taken_port_and_closed_stream_are_a_lost_link(stream):
