@@ -52,12 +52,17 @@ class MotionCaptureTracker(ProcessTracker):
         check_number(f"tracker {self.name}: latency", self.latency, minimum=0.0)
         self._axes()
 
+    @property
+    def settings(self) -> dict[str, str]:
+        """Settings of the system for the package."""
+        return {"hostname": self.host}
+
     def frames(self) -> Iterator[Measurement | None]:
         import motioncapture
 
         axes = self._axes()
         try:
-            system = motioncapture.connect(self.name, {"hostname": self.host})
+            system = motioncapture.connect(self.name, self.settings)
         except RuntimeError as error:
             raise LinkLost(f"no {self.name} system answers at {self.host}: {error}") from error
         yield None

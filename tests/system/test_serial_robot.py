@@ -275,12 +275,11 @@ def test_port_without_a_name_must_be_the_only_one(monkeypatch, tmp_path):
         SerialRobot().connect()
 
 
-def test_writing_to_a_full_port_drops_frames_and_does_not_block(remote):
+def test_writing_to_a_full_port_does_not_block(remote):
     remote.deaf.set()
     port = SerialPort(remote.port)
     frames = encode(b"0123456789")
     for _ in range(2000):
         port.write(frames)
-    assert 0 < port.dropped < 2000
     port.discard()
     port.close()
