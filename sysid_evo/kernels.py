@@ -205,13 +205,21 @@ class Layout:
             raise AttributeError(f"layout: no {name!r}; its names are {', '.join(names)}")
         return names.index(name)
 
-    def pack(self, *rest: Any, **values: float) -> Array:
-        """Return the named values in their order, then ``rest``, flat. Raises `InvalidArgument` for other names."""
+    def pack(self, *rest: Any, **values: npt.ArrayLike) -> Array:
+        """Return the named values in their order, then ``rest``, flat. Raises `InvalidArgument` for other names.
+
+        An array among the values follows at the next multiple of `CACHE_LINE`, and its name is that place.
+        """
         if values.keys() != set(self.names):
             raise InvalidArgument(f"layout: expected {', '.join(self.names)}, got {', '.join(values) or 'nothing'}")
-        head = np.zeros(self.size)
-        head[: len(self.names)] = [values[name] for name in self.names]
-        return np.concatenate([head, *(np.ravel(part) for part in rest)]).astype(np.float64)
+        flat = np.concatenate([np.zeros(self.size), *(np.ravel(part) for part in rest)]).astype(np.float64)
+        for place, name in enumerate(self.names):
+            value = values[name]
+            if np.ndim(value):
+                flat = padded(flat)
+                flat, value = np.concatenate([flat, np.ravel(value)]), len(flat)
+            flat[place] = value
+        return flat
 
     def integers(self, **values: int) -> npt.NDArray[np.int64]:
         """Return the named values in their order as whole numbers."""
@@ -456,14 +464,13 @@ State = TypeVar("State")
 class TaskKernel(Generic[State]):
     """The compiled form of a bound task.
 
-    ``rows`` converts the state of E trials to task rows (n_rows, E); ``state`` converts the rows of B
-    trials (n_rows, B), tiled from those, back. ``trial_data`` (E, n) are constants of the trials.
+    ``rows`` converts the state of E trials to task rows (rows, E); ``state`` converts the rows of B
+    trials (rows, B), tiled from those, back. ``trial_data`` (E, n) are constants of the trials.
     ``pose_row`` is the first of ``n_pose`` rows with the pose.
     """
 
     observe: Source
     advance: Source
-    n_rows: int
     rows: Callable[[State], Array]
     trial_data: Callable[[State], Array]
     state: Callable[[State, Array], State]
@@ -525,8 +532,3 @@ class MotionKernel:
     turn: Callable[..., Any]
     move: Callable[..., Any]
     parameters: Array = field(default_factory=lambda: np.zeros(1))
-
-    @property
-    def bindings(self) -> dict[str, Any]:
-        """The bindings of a wrapper: ``integrate``, ``turn`` and ``move``."""
-        return {"integrate": self.integrate, "turn": self.turn, "move": self.move}

@@ -97,11 +97,6 @@ class Motion(ABC):
         """Return the derivatives for states with these ``names``; by default finite differences."""
         return CentralDifferences(self, tuple(names))
 
-    @property
-    def angles(self) -> tuple[int, ...]:
-        """The indices of pose coordinates that are angles in rad."""
-        return tuple(i for i, unit in enumerate(self.pose_units) if unit == "rad")
-
     def check(self, names: Sequence[str]) -> None:
         """Raise `InvalidSystem` if a role names a channel that is not among ``names``."""
         for role, channel in self.roles().items():

@@ -265,7 +265,6 @@ class EnvironmentTask(Task):
         return TaskKernel(
             observe=KernelSource(gymnasium_rewards.observe),
             advance=advance,
-            n_rows=gymnasium_rewards.ROWS.size + further,
             rows=lambda state: np.vstack(
                 [state.earned, state.alive, state.steps, np.zeros((further, len(state.alive)))]
             ),

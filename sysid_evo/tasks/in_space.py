@@ -130,7 +130,6 @@ class SpaceTask(Task):
         return TaskKernel(
             observe=OBSERVING,
             advance=KernelSource(advance, {"move_body": KernelSource(move_upright, {"move": motion.move})}),
-            n_rows=ROWS.size,
             rows=_rows,
             trial_data=lambda here: here.waypoints.reshape(len(here.waypoints), -1),
             state=_state,

@@ -91,13 +91,11 @@ class LearnedReward:
             self.distances, self.trees, [*system.neutral_state, *system.neutral_control],
         ]  # fmt: skip
         levels = self.levels if len(self.levels) else (0.0, 0.0)
-        starts = np.cumsum([HEAD.size, *(np.size(table) for table in tables)])
         return HEAD.pack(
-            *tables,
             **{"nx": system.nx, "nu": system.nu, "m": m, "r": r, "limits": len(self.limits)},
             **{"n_last": _features_in(len(self.last)), "hidden": len(self.outer)},
             **{"n_distances": len(self.distances), "n_trees": len(self.trees)},
-            **dict(zip(OFFSETS, starts[:-1], strict=True)),
+            **dict(zip(OFFSETS, tables, strict=True)),
             **{"two": float(len(self.levels) > 0), "first": levels[0], "second": levels[1]},
             **dict(zip(("low", "high", "last_low", "last_high"), self.range, strict=True)),
         )

@@ -221,7 +221,6 @@ class PointToPoint(Task):
         return TaskKernel(
             observe=KernelSource(observe_lanes),
             advance=KernelSource(advance_lanes, {"move": motion.move}),
-            n_rows=ROWS.size,
             rows=_rows,
             trial_data=lambda here: here.waypoints.reshape(len(here.waypoints), -1),
             state=_state,

@@ -337,7 +337,6 @@ def reward_kernel(
     return TaskKernel(
         observe=OBSERVING,
         advance=KernelSource(advance_lanes, {"move": motion.move, "worth": worth, "over": over or KernelSource(never)}),
-        n_rows=ROWS.pose + system.n_pose + 1,
         rows=_rows,
         trial_data=lambda task_state: np.zeros((len(task_state.alive), 1)),
         state=_state,

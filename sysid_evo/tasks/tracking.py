@@ -209,21 +209,19 @@ class TrackingTask(Task):
         )
 
     def kernel(self) -> TaskKernel[Any] | None:
-        system, m = self.system, len(self.goals)
-        motion = system.motion_kernel()
+        motion = self.system.motion_kernel()
         if motion is None:
             return None
         score = ScalarLaw(follow, rows=("task", "before", "after", "control"))
         return TaskKernel(
             observe=OBSERVING,
             advance=KernelSource(advance_lanes, {"move": motion.move, "score": score}),
-            n_rows=ROWS.pose + system.n_pose + 2 * m,
             rows=_rows,
             trial_data=lambda here: here.reference.reshape(len(here.reference), -1),
             state=_state,
             parameters=np.concatenate([self.numbers, motion.parameters]),
             pose_row=ROWS.pose,
-            n_pose=system.n_pose,
+            n_pose=self.system.n_pose,
         )
 
     def _errors(self, target: Array, state: Array) -> Array:

@@ -227,7 +227,6 @@ class WalledTrack(Task):
         return TaskKernel(
             observe=KernelSource(observe_lanes),
             advance=KernelSource(advance_lanes, {"move": motion.move}),
-            n_rows=ROWS.track + NUMBERS,
             rows=_rows,
             trial_data=lambda task_state: np.zeros((len(task_state.alive), 1)),
             state=_state,

@@ -16,7 +16,6 @@ from sysid_evo.kernels import (
     KernelSource,
     Layout,
     load,
-    padded,
     splat,
     store,
     view,
@@ -64,11 +63,7 @@ def correction_kernel(
     if gains:
         foreseen = [terms["weakest"], terms["strongest"], 1.0 / terms["strength"]]
     of_states = np.concatenate([per_turn, terms["unit"], system.neutral_state, np.ravel(system.limits), *foreseen])
-    parts = [padded(of_inputs), padded(of_states), padded(np.ravel(coefficients)), padded(motion.parameters)]
-    places = np.cumsum([HEAD.size, *(len(part) for part in parts)])
     parameters = HEAD.pack(
-        *parts,
-        inner.parameters,
         nx=system.nx,
         nu=system.nu,
         inputs=len(centre),
@@ -77,11 +72,11 @@ def correction_kernel(
         gains=gains,
         dt=system.dt,
         limited=system.limited,
-        inputs_at=places[0],
-        states_at=places[1],
-        coefficients_at=places[2],
-        frame=places[3],
-        own=places[4],
+        inputs_at=of_inputs,
+        states_at=of_states,
+        coefficients_at=coefficients,
+        frame=motion.parameters,
+        own=inner.parameters,
     )
     bindings = {"inner": inner.source, "integrate": motion.integrate}
     room = 3 * system.nx + len(coefficients) + inner.n_scratch
@@ -187,8 +182,7 @@ ACTION = Layout("nu", "own", align=CACHE_LINE)
 def action_kernel(inner: DynamicsKernel, gain: Array, offset: Array) -> DynamicsKernel:
     """Return the kernel of ``inner`` under the control gain * u + offset, both (nu,)."""
     check_shape("offset", offset, gain.shape)
-    numbers = padded(np.concatenate([gain, offset]))
-    parameters = ACTION.pack(numbers, inner.parameters, nu=len(gain), own=ACTION.size + len(numbers))
+    parameters = ACTION.pack(gain, offset, nu=len(gain), own=inner.parameters)
     source = KernelSource(under_corrected_action, {"inner": inner.source})
     return DynamicsKernel(source, parameters, len(gain) + inner.n_scratch, inner.precision)
 

@@ -11,7 +11,6 @@ from sysid_evo.kernels import (
     KernelSource,
     Layout,
     load,
-    padded,
     splat,
     store,
     view,
@@ -39,9 +38,7 @@ def disturbed_kernel(
     ``sensor_at``.
     """
     limits = np.repeat([-np.inf, np.inf], system.nx) if state_bounds is None else np.ravel(state_bounds)
-    numbers = padded(np.concatenate([limits, free_controls]))
-    own = HEAD.size + len(numbers)
-    parameters = HEAD.pack(numbers, inner.parameters, nx=system.nx, nu=system.nu, own=own, **head)
+    parameters = HEAD.pack(limits, free_controls, nx=system.nx, nu=system.nu, own=inner.parameters, **head)
     room = system.nx + system.nu + inner.n_scratch
     return DynamicsKernel(KernelSource(disturbed, {"inner": inner.source}), parameters, room, inner.precision)
 

@@ -41,8 +41,7 @@ def mean_kernel(
     """
     chain = chained(members, system.nx, places, noise_places)
     weights = check_shape("weights", weights, (len(members),))
-    numbers = padded(np.concatenate([weights, places]))
-    parameters = MEAN.pack(numbers, chain.parameters, nx=system.nx, count=len(members), chain=MEAN.size + len(numbers))
+    parameters = MEAN.pack(weights, places, nx=system.nx, count=len(members), chain=chain.parameters)
     source = KernelSource(averaged, {"step_all": chain.source})
     return DynamicsKernel(source, parameters, chain.n_scratch, chain.precision)
 

@@ -19,7 +19,6 @@ from sysid_evo.kernels import (
     load,
     load_quarter,
     look_up,
-    padded,
     splat,
     store,
     view,
@@ -191,15 +190,13 @@ def command_network_predictor(
     pages = -(-len(serving) // QUARTER)
     table = np.zeros((*weights.shape[1:], pages * QUARTER))
     table[..., : len(serving)] = weights.transpose(1, 2, 0)
-    head = padded(np.array(lookup))
     parameters = COMMANDS.pack(
-        head,
-        table,
+        lookup,
         n_states=n_states,
         n_exact=len(exact),
         n_controls=len(midpoints),
         pages=pages,
-        weights=COMMANDS.size + len(head),
+        weights=table,
     )
     sizes = {"N_IN": n_in, "HIDDEN": hidden, "N_OUT": n_out}
     source, reads = KernelSource(command_networks, sizes), (n_states, n_control)

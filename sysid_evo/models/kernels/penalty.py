@@ -15,7 +15,6 @@ from sysid_evo.kernels import (
     Layout,
     lanes_at_most,
     load,
-    padded,
     splat,
     store,
     view,
@@ -32,19 +31,16 @@ def penalised_kernel(
     """Return the kernel of ``model`` with penalty and countdown to the next comparison, at ``penalty_at``."""
     nx = len(support.scale) - nu
     found = neighbour_predictor([(support.points, support.points)], np.zeros(1, dtype=np.int64), [], range(nu), nx)
-    scales, table = padded(1.0 / support.scale), padded(found.parameters)
     parameters = HEAD.pack(
-        scales,
-        table,
-        model.parameters,
+        1.0 / support.scale,
         nx=nx,
         nu=nu,
         penalty_at=penalty_at,
         outside=outside * every,
         per_limit=1.0 / support.limit,
         every=every,
-        table=HEAD.size + len(scales),
-        own=HEAD.size + len(scales) + len(table),
+        table=found.parameters,
+        own=model.parameters,
     )
     source = KernelSource(penalised, {
         "inner": model.source, "look": KernelSource(look, {"nearest_pair": found.function}),

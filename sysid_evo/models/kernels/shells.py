@@ -1,7 +1,7 @@
 """Predictors around predictors.
 
-A turning frame (`turning_frame`), clipped inputs (`within`), changes added to states (`on_top`), a sum of two
-(`added`), sines and cosines of periodic states (`with_angles`) and elementary functions of inputs (`of_functions`).
+A turning frame (`turning_frame`), clipped inputs (`within`), changes added to states (`on_top`), sines and cosines of
+periodic states (`with_angles`) and elementary functions of inputs (`of_functions`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ import numpy as np
 
 from sysid_evo.angles import TURN
 from sysid_evo.errors import ShapeError
-from sysid_evo.kernels import CACHE_LINE, LANES, KernelSource, Layout, Predictor, load, padded, store, view
+from sysid_evo.kernels import CACHE_LINE, LANES, KernelSource, Layout, Predictor, load, store, view
+from sysid_evo.models.kernels.outputs import prepare_own
 from sysid_evo.models.kernels.stepping import copy
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, check_shape
@@ -34,31 +35,22 @@ def turning_frame(rate: Predictor, system: System, *, bounds: Array | None = Non
         return None
     limits = np.empty(0) if bounds is None else np.ravel(check_shape("bounds", bounds, (5, system.nx)))
     rate.check(n_out=system.nx)
-    parts = [padded(motion.parameters), padded(limits)]
-    places = np.cumsum([FRAME.size, *(len(part) for part in parts)])
     parameters = FRAME.pack(
-        *parts,
-        rate.parameters,
         nx=system.nx,
         per_dt=1.0 / system.dt,
         contained=len(limits) > 0,
-        frame=places[0],
-        limits=places[1],
-        own=places[2],
+        frame=motion.parameters,
+        limits=limits,
+        own=rate.parameters,
     )
     return Predictor(
         KernelSource(turned, {**rate.bindings, "turn": motion.turn, "NX": system.nx}),
         parameters,
         rate.n_scratch,
-        prepare=KernelSource(prepare_turned, rate.bindings),
+        prepare=KernelSource(prepare_own, {**rate.bindings, "OWN": FRAME.own}),
         reads=rate.reads,
         writes=system.nx,
     )
-
-
-def prepare_turned(u, p, scratch):
-    """Prepare the rate."""
-    prepare(u, view(p, int(p[FRAME.own])), scratch)
 
 
 def turned(x, u, p, y, scratch):
@@ -84,18 +76,16 @@ CLIP = Layout("n_carry", "n_control", "low", "high", "own", align=CACHE_LINE)
 
 def within(inner: Predictor, low: Array, high: Array, n_carry: int) -> Predictor:
     """Return a predictor whose carry and control are clipped to ``low`` and ``high`` (n_carry + nu,)."""
-    inputs, limits = len(low), padded(np.concatenate([low, check_shape("high", high, (len(low),))]))
+    inputs = len(low)
     if not 0 <= n_carry <= inputs:
         raise ShapeError(f"low: expected at least {n_carry} numbers, one for each of the carry, got {inputs}")
     inner.check(n_carry, inputs - n_carry)
     parameters = CLIP.pack(
-        limits,
-        inner.parameters,
         n_carry=n_carry,
         n_control=inputs - n_carry,
-        low=CLIP.size,
-        high=CLIP.size + inputs,
-        own=CLIP.size + len(limits),
+        low=low,
+        high=check_shape("high", high, (inputs,)),
+        own=inner.parameters,
     )
     return Predictor(
         KernelSource(clipped, {**inner.bindings, "N_CARRY": n_carry, "N_CONTROL": inputs - n_carry}),
@@ -140,21 +130,14 @@ def on_top(inner: Predictor, added: BoolArray, *, low: Array | None = None, high
     least, most = np.full(nx, -np.inf) if low is None else low, np.full(nx, np.inf) if high is None else high
     inner.check(n_out=nx)
     least, most = check_shape("low", least, (nx,)), check_shape("high", most, (nx,))
-    rows = padded(np.concatenate([added.astype(np.float64), least, most]))
-    places = {name: ON_TOP.size + i * nx for i, name in enumerate(("added", "low", "high"))}
     return Predictor(
         KernelSource(put_on_top, inner.bindings),
-        ON_TOP.pack(rows, inner.parameters, nx=nx, **places, own=ON_TOP.size + len(rows)),
+        ON_TOP.pack(nx=nx, added=added, low=least, high=most, own=inner.parameters),
         inner.n_scratch,
-        prepare=KernelSource(prepare_on_top, inner.bindings),
+        prepare=KernelSource(prepare_own, {**inner.bindings, "OWN": ON_TOP.own}),
         reads=inner.reads,
         writes=nx,
     )
-
-
-def prepare_on_top(u, p, scratch):
-    """Prepare the inner predictor."""
-    prepare(u, view(p, int(p[ON_TOP.own])), scratch)
 
 
 def put_on_top(x, u, p, y, scratch):
@@ -165,49 +148,6 @@ def put_on_top(x, u, p, y, scratch):
         if added[row] > 0.0:
             inside = min(max(load(x, row * LANES), low[row]), high[row])
             store(y, row * LANES, load(y, row * LANES) + inside)
-
-
-SUM = Layout("nx", "first", "second", "second_room", "sum_room", align=CACHE_LINE)
-
-
-def added(first: Predictor, second: Predictor, nx: int) -> Predictor:
-    """Return a predictor of the sum of two, each with its own scratch."""
-    head = padded(np.ravel(first.parameters))
-    parameters = SUM.pack(
-        head,
-        second.parameters,
-        nx=nx,
-        first=SUM.size,
-        second=SUM.size + len(head),
-        second_room=first.n_scratch,
-        sum_room=first.n_scratch + second.n_scratch,
-    )
-    second.check(n_out=nx)
-    one, other = first.bindings, second.bindings
-    prepares = {"prepare_one": one["prepare"], "prepare_other": other["prepare"]}
-    return Predictor(
-        KernelSource(add, {"one": one["predict"], "other": other["predict"]}),
-        parameters,
-        first.n_scratch + second.n_scratch + nx,
-        prepare=KernelSource(prepare_added, prepares),
-        reads=(max(a[0], b[0]), max(a[1], b[1])) if (a := first.reads) and (b := second.reads) else None,
-        writes=first.writes,
-    )
-
-
-def prepare_added(u, p, scratch):
-    """Prepare both."""
-    prepare_one(u, view(p, int(p[SUM.first])), scratch)
-    prepare_other(u, view(p, int(p[SUM.second])), view(scratch, int(p[SUM.second_room]) * LANES))
-
-
-def add(x, u, p, y, scratch):
-    """Write the sum; the second prediction is in the last rows of the scratch."""
-    more = view(scratch, int(p[SUM.sum_room]) * LANES)
-    one(x, u, view(p, int(p[SUM.first])), y, scratch)
-    other(x, u, view(p, int(p[SUM.second])), more, view(scratch, int(p[SUM.second_room]) * LANES))
-    for row in range(int(p[SUM.nx])):
-        store(y, row * LANES, load(y, row * LANES) + load(more, row * LANES))
 
 
 ANGLES = Layout("n_carry", "n_seen", "own", align=CACHE_LINE)
@@ -224,11 +164,9 @@ def with_angles(inner: Predictor, system: System, lags: tuple[int, int] = (0, 0)
     per_row = np.array([*per_state * (1 + lags[0]), *[0.0] * (system.nu * lags[1])])
     n_seen = len(per_row) + int(np.count_nonzero(per_row))
     inner.check(n_seen)
-    rows = padded(per_row)
-    parameters = ANGLES.pack(rows, inner.parameters, n_carry=len(per_row), n_seen=n_seen, own=ANGLES.size + len(rows))
     return Predictor(
         KernelSource(seen_as_angles, inner.bindings),
-        parameters,
+        ANGLES.pack(per_row, n_carry=len(per_row), n_seen=n_seen, own=inner.parameters),
         n_seen + inner.n_scratch,
         prepare=KernelSource(prepare_inner, inner.bindings),
         reads=(len(per_row), inner.reads[1] if inner.reads else system.nu),
@@ -290,14 +228,12 @@ def of_functions(inner: Predictor, of_carry: Sequence[SeenRow], of_control: Sequ
     """Return a predictor that passes functions of rows of the carry and of the control to ``inner``."""
     flat = [[CODES[row.function], *row[1:]] for row in (*of_carry, *of_control)]
     inner.check(len(of_carry), len(of_control))
-    rows = padded(np.array(flat, dtype=np.float64).ravel())
     parameters = FUNCTIONS.pack(
-        rows,
-        inner.parameters,
+        flat,
         n_carry=len(of_carry),
         n_control=len(of_control),
         of_control=FUNCTIONS.size + NUMBERS * len(of_carry),
-        own=FUNCTIONS.size + len(rows),
+        own=inner.parameters,
     )
     return Predictor(
         KernelSource(seen_as_functions, inner.bindings),

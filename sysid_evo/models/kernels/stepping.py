@@ -1,10 +1,10 @@
-"""From a prediction to the next carry: integration by the motion, noise, limits, dead band, lags; Runge-Kutta."""
+"""From a prediction to the next carry: integration by the motion, noise, limits, lags; Runge-Kutta."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias, overload
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from sysid_evo.kernels import (
     MotionKernel,
     Predictor,
     load,
-    padded,
     splat,
     store,
     view,
@@ -65,24 +64,6 @@ class StepNoise:
         return np.concatenate([[len(self.edges)], self.edges, np.ravel(rows)])
 
 
-@overload
-def stepping_kernel(
-    predictor: Predictor,
-    system: System,
-    *,
-    output: Literal["next_state"],
-    lags: tuple[int, int] = (0, 0),
-    noise: StepNoise | None = None,
-) -> DynamicsKernel: ...
-@overload
-def stepping_kernel(
-    predictor: Predictor,
-    system: System,
-    *,
-    output: Output,
-    lags: tuple[int, int] = (0, 0),
-    noise: StepNoise | None = None,
-) -> DynamicsKernel | None: ...
 def stepping_kernel(
     predictor: Predictor,
     system: System,
@@ -103,22 +84,17 @@ def stepping_kernel(
     nx, nu = system.nx, system.nu
     predictor.check(nx * (1 + lags[0]) + nu * lags[1], nu, nx)
     limits = np.ravel(system.limits) if system.limited else np.empty(0)
-    spread = np.empty(0) if noise is None else noise.parameters
-    parts = [padded(motion.parameters), padded(spread), padded(limits)]
-    places = np.cumsum([STEP.size, *(len(part) for part in parts)])
     parameters = STEP.pack(
-        *parts,
-        predictor.parameters,
         nx=nx,
         nu=nu,
         state_lags=lags[0],
         control_lags=lags[1],
         dt=system.dt,
         limited=system.limited,
-        frame=places[0],
-        noise=places[1],
-        limits=places[2],
-        own=places[3],
+        frame=motion.parameters,
+        noise=np.empty(0) if noise is None else noise.parameters,
+        limits=limits,
+        own=predictor.parameters,
     )
     disturb = no_noise if noise is None else add_noise
     bindings = {**predictor.bindings, "integrate": motion.integrate, "disturb": disturb}

@@ -306,6 +306,8 @@ def test_a_layout_packs_by_name_and_a_kernel_reads_by_name():
     np.testing.assert_array_equal(parameters, [2.0, 3.0, 0.0, 0.0, 5.0])
     x = call_block(amplify, Signature(x=REALS, p=REALS), "float64", [np.ones(3), parameters])[0]
     np.testing.assert_array_equal(x, [15.0, 15.0, 1.0])
+    listed = HEAD.pack([5.0], gain=np.array([7.0, 8.0]), n=2)
+    np.testing.assert_array_equal(listed, [2.0, 16.0, 0.0, 0.0, 5.0, *[0.0] * 11, 7.0, 8.0])
 
 
 def test_a_layout_takes_its_names_and_no_others():
