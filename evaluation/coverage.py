@@ -90,15 +90,11 @@ def _widths(support: Support) -> Array:
     """Return the width of the boxes in each channel (nx + nu,), 0 for a switch."""
     system = support.system
     spread = dict(zip((*system.regressor_names, *system.control_names), support.scale, strict=True))
-    states = [c.period / PERIODIC_BINS if c.period else _rounded(spread[c.name]) for c in system.states]
-    return np.array([*states, *(_control_width(c, spread[c.name]) for c in system.controls)])
-
-
-def _control_width(channel: Channel, spread: float) -> float:
-    if channel.levels is not None:
-        return 0.0
-    span = channel.high - channel.low
-    return span / CONTROL_BINS if np.isfinite(span) else _rounded(spread)
+    widths = [c.period / PERIODIC_BINS if c.period else _rounded(spread[c.name]) for c in system.states]
+    for c in system.controls:
+        span = 0.0 if c.levels is not None else c.high - c.low
+        widths.append(span / CONTROL_BINS if np.isfinite(span) else _rounded(spread[c.name]))
+    return np.array(widths)
 
 
 def _rounded(width: float) -> float:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypedDict
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from sysid_evo.errors import InvalidArgument, Meaningless, UnknownName, did_you_mean, meaningless, refuse_meaningless
+from sysid_evo.errors import InvalidArgument, Meaningless, did_you_mean, meaningless, refuse_meaningless
 from sysid_evo.files import parsed_toml, write_atomically
 from sysid_evo.registry import Spec, make_robot
 from sysid_evo.settings import Seconds, setting
@@ -193,8 +193,6 @@ class Experiment(BaseModel):
     @property
     def budget(self) -> Budget:
         """The budget of the preset with the settings that were given; a polish is no longer than the search."""
-        if self.preset not in BUDGETS:
-            raise UnknownName(f"no preset is called {self.preset!r}; there are {', '.join(BUDGETS)}")
         given = {name: getattr(self, name) for name in Budget.model_fields if getattr(self, name) is not None}
         found = BUDGETS[self.preset].model_copy(update=given)
         if self.polish_generations is None:

@@ -34,14 +34,10 @@ def by_error(value: float | None, error: float) -> str:
 
     Without an error (zero, NaN) it has about three digits.
     """
-    return three_digits(value) if (digits := _decimals(error)) is None else number(value, digits)
-
-
-def _decimals(error: float) -> int | None:
     if not np.isfinite(error) or error <= 0.0:
-        return None
+        return three_digits(value)
     power = int(np.floor(np.log10(error)))
-    return int(np.clip(-power + (error < 2.0 * 10.0**power), 0, MOST_DECIMALS))
+    return number(value, int(np.clip(-power + (error < 2.0 * 10.0**power), 0, MOST_DECIMALS)))
 
 
 def percent(share: float | None) -> str:
@@ -100,11 +96,6 @@ def few(names: Sequence[str], most: int = 4) -> str:
     """Return ``names`` with commas, if there are more than ``most`` + 1 only ``most`` and the number of others."""
     more = len(names) - most
     return ", ".join(names[:most]) + f" and {more} more" if more > 1 else ", ".join(names)
-
-
-def listed(names: Sequence[str]) -> str:
-    """Join names with commas, a dash for none."""
-    return ", ".join(names) if names else "–"
 
 
 def lines(*parts: str) -> str:

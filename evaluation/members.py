@@ -232,7 +232,8 @@ def find_column(store: Store, name: str) -> Plant:
     """Return the model or emulated robot called ``name``. Raises `InvalidArgument`, `ArtefactError`."""
     if is_stored_artefact(name, "model"):
         file = stored_file(name, "model")
-        own = record_of_file(store, file)
+        stem = file.with_suffix("").resolve()
+        own = next((one for one in fitted_models(store) if (store.path / one.artefact).resolve() == stem), None)
         if own is not None:
             return column_of(store, own)
         model = StoredModelCell(file).cell()
@@ -260,12 +261,6 @@ def data_of(store: Store, model: CellRecord) -> Cell | None:
     """Return the cell of the data that a model of a run was fitted to, None if they are not in the run."""
     found = (store.find(digest) for digest in model.needs)
     return next((stored(one) for one in found if one is not None and one.status == "done"), None)
-
-
-def record_of_file(store: Store, file: Path) -> CellRecord | None:
-    """Return the record of the run's model in ``file``, None if it is no model of the run."""
-    stem = file.with_suffix("").resolve()
-    return next((one for one in fitted_models(store) if (store.path / one.artefact).resolve() == stem), None)
 
 
 def find_model(store: Store, name: str) -> CellRecord:

@@ -285,23 +285,19 @@ def _constructible(evolution: ControllerEvolution) -> None:
     make_aggregate(evolution.aggregate)
 
 
-def _of_environment(system: System) -> str:
-    """Return how the task of an environment is named, for a system that may be one."""
-    if system.motion is not None:
-        return ""
-    return (
-        f". Recordings of a Gymnasium environment need its own: --task 'environment(id=\"{system.name or 'NAME'}\")', "
-        "and --plugin FILE if a file of yours registers it"
-    )
-
-
 def _check_control(evolution: ControllerEvolution, system: System) -> None:
     """Raise if task, controller and strategy do not fit ``system``, with the alternative without controllers."""
     try:
         task = evolution.make_task(system)
     except IncompatibleTask as error:
+        name = system.name or "NAME"
+        own = (
+            f". Recordings of a Gymnasium environment need its own: --task 'environment(id=\"{name}\")', and "
+            "--plugin FILE if a file of yours registers it"
+        )
         raise IncompatibleTask(
-            f"{error}. Name a task that fits (--task), or compare --stop-after prediction{_of_environment(system)}"
+            f"{error}. Name a task that fits (--task), or compare --stop-after prediction"
+            f"{own if system.motion is None else ''}"
         ) from error
     for start in evolution.all_starts:
         evolution.make_strategy(make_controller(start.controller).bind_to(task).n_parameters, 0, start.strategy)

@@ -113,11 +113,6 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def axes_or_new(ax: Axes | None, width: float = 7.0, height: float = 3.6) -> Axes:
-    """Return ``ax``, or the axes of a new figure."""
-    return new_figure(width, height).add_subplot() if ax is None else ax
-
-
 def line_style(number: int) -> dict[str, Any]:
     """Return colour and dashes of line ``number``, one of 24 combinations."""
     return {"color": COLOURS[number % len(COLOURS)], "linestyle": tuple(DASHES)[number // len(COLOURS) % len(DASHES)]}
@@ -133,7 +128,11 @@ class Band:
     shape: PolyCollection
 
 
-def draw_band(ax: Axes, name: str, x: Array, low: Array, high: Array, *, color: str, alpha: float) -> None:
+OPAQUE = 0.13
+"""How opaque an interval is drawn."""
+
+
+def draw_band(ax: Axes, name: str, x: Array, low: Array, high: Array, color: str) -> None:
     """Draw an interval (n,) around the line called ``name`` at the same places ``x`` (n,); `bands` finds it again."""
     from matplotlib.collections import PolyCollection
 
@@ -144,7 +143,7 @@ def draw_band(ax: Axes, name: str, x: Array, low: Array, high: Array, *, color: 
         np.column_stack([np.r_[x[run], x[run][::-1]], np.r_[low[run], high[run][::-1]]]) for run in runs if len(run)
     ]
     kind = type("Band", (PolyCollection,), {})  # the class names the group in an SVG file
-    shape = kind(outlines, facecolors=color, alpha=alpha, linewidths=0.0)
+    shape = kind(outlines, facecolors=color, alpha=OPAQUE, linewidths=0.0)
     vars(shape)["band"] = Band(name, low, high, shape)
     ax.add_collection(shape)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evaluation.formatting import folded
-from evaluation.plot_style import COLOURS, MEASURED, REFERENCE, axes_or_new, draw_band, line_style
+from evaluation.plot_style import COLOURS, MEASURED, REFERENCE, draw_band, line_style
 from evaluation.prediction.residuals import AHEAD, LAGS
 from evaluation.prediction.scores import PERSISTENCE, Prediction
 from evaluation.sufficiency import tells_apart
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 def plot_claimed_measured(
     controllers: Sequence[ControllerSummary],
-    ax: Axes | None = None,
+    ax: Axes,
     *,
     unit: str = "",
     label: str,
@@ -41,7 +41,6 @@ def plot_claimed_measured(
     dots, cut to a number of ``letters``; that of the controller ``pick`` is bold. Exploited controllers are orange. The
     artists of controller i have the id ``link-i``.
     """
-    ax = axes_or_new(ax, 4.9, 4.9)
     pairs = [(one.claimed, one.elsewhere) for one in controllers]
     values = np.array([(a.value, b.value) for a, b in pairs if a is not None and b is not None])
     ends = np.array([(a.low, a.high, b.low, b.high) for a, b in pairs if a is not None and b is not None])
@@ -90,7 +89,7 @@ MeanAndInterval = tuple[float, float, float]
 
 def plot_spreads(
     spreads: Mapping[str, Mapping[str, MeanAndInterval]],
-    ax: Axes | None = None,
+    ax: Axes,
     *,
     label: str,
     name_width: int = 26,
@@ -101,7 +100,6 @@ def plot_spreads(
     ``spreads`` are by group and name: ``{"plain": {"linear": (0.8, 0.7, 0.9)}}``.
     """
     names = list(dict.fromkeys(name for found in spreads.values() for name in found))
-    ax = axes_or_new(ax, 7.0, 1.2 + 0.4 * len(names))
     places = REACH * (np.arange(len(spreads)) / max(1, len(spreads) - 1) - 0.5) if len(spreads) > 1 else np.zeros(1)
     for number, (group, found) in enumerate(spreads.items()):
         rows = np.array([names.index(name) for name in found])
@@ -120,11 +118,10 @@ def plot_spreads(
     return ax
 
 
-def plot_fitness(champion: Champion, ax: Axes | None = None, *, unit: str = "") -> Axes:
+def plot_fitness(champion: Champion, ax: Axes, *, unit: str = "") -> Axes:
     """Draw best, mean and worst fitness of each generation of the evolution."""
     from matplotlib.ticker import MaxNLocator
 
-    ax = axes_or_new(ax, 4.0, 2.8)
     generation = np.arange(1, len(champion.history) + 1)
     best, mean, worst = champion.history.T
     ax.fill_between(generation, worst, best, color=COLOURS[0], alpha=0.12, linewidth=0)
@@ -140,27 +137,22 @@ def plot_fitness(champion: Champion, ax: Axes | None = None, *, unit: str = "") 
 LOWEST_N = 1e-3
 """Lowest N on the logarithmic axis."""
 
-OPAQUE = 0.13
-"""How opaque an interval is drawn."""
-"""Opacity of an interval."""
 
-
-def plot_horizon_curve(prediction: Prediction, ax: Axes | None = None) -> Axes:
+def plot_horizon_curve(prediction: Prediction, ax: Axes) -> Axes:
     """Draw N after every step, from measured states, for each model, with its interval as a band."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    ax = axes_or_new(ax)
     dt, last = prediction.cases.system.dt, max(prediction.cases.horizons, default=None)
     drawn, banded = [], tells_apart(prediction, last)
     for model in prediction.models:
         if len(model.curve) and np.isfinite(model.curve).any():
             seconds = dt * np.arange(1.0, len(model.curve) + 1.0)
             curve = np.maximum(model.curve, LOWEST_N)
-            ax.plot(seconds, curve, label=model.name, linewidth=1.6, **model_style(prediction, model.name))
+            style = model_style(prediction, model.name)
+            ax.plot(seconds, curve, label=model.name, linewidth=1.6, **style)
             if banded and model.curve_interval.shape[1] == len(curve):
                 low, high = np.maximum(model.curve_interval, LOWEST_N)
-                colour = model_style(prediction, model.name)["color"]
-                draw_band(ax, model.name, seconds, low, high, color=colour, alpha=OPAQUE)
+                draw_band(ax, model.name, seconds, low, high, style["color"])
             drawn.append(curve[np.isfinite(curve)])
     for horizon in prediction.cases.horizons:
         ax.axvline(horizon * dt, color=REFERENCE, linewidth=0.6, alpha=0.5)
@@ -179,13 +171,12 @@ def plot_horizon_curve(prediction: Prediction, ax: Axes | None = None) -> Axes:
 
 
 def plot_residual_correlation(
-    prediction: Prediction, models: Sequence[str], state: int, control: int | None = None, ax: Axes | None = None
+    prediction: Prediction, models: Sequence[str], state: int, control: int | None, ax: Axes
 ) -> Axes:
     """Draw the correlation of the one-step residuals of a state with earlier ones, or with a control, over the lag.
 
     Dotted lines are the widest band of ``models`` for uncorrelated residuals, see `Residuals`.
     """
-    ax = axes_or_new(ax, 3.7, 2.0)
     dt, bands = prediction.cases.system.dt, []
     lags = dt * (np.arange(1, LAGS + 1) if control is None else np.arange(-AHEAD, LAGS + 1))
     for name in models:
@@ -207,22 +198,20 @@ def plot_residual_correlation(
 def plot_free_run(
     prediction: Prediction,
     channel: int,
+    ax: Axes,
     *,
-    models: Sequence[str] | None = None,
+    models: Sequence[str],
     besides: Sequence[str] = (),
     run: int = 0,
-    seconds: tuple[float, float] | None = None,
-    ax: Axes | None = None,
 ) -> Axes:
-    """Draw one state channel as measured and as simulated from the start of an episode.
+    """Draw one state channel as measured and as simulated from the start of an episode, 15 s from the first movement.
 
-    ``seconds`` is the part to show (default: 15 s from the first movement); values beyond three half ranges of the
-    measurement there are cut off. The models ``besides`` are drawn, too, if their values are in that range.
+    Values beyond three half ranges of the measurement there are cut off. The models ``besides`` are drawn, too, if
+    their values are in that range.
     """
-    ax = axes_or_new(ax)
     cases = prediction.cases
     case, dt = cases.free_runs[run], cases.system.dt
-    first, last = excerpt(prediction, run) if seconds is None else seconds
+    first, last = excerpt(prediction, run)
     begin = cases.protocol.first + 1
     time = dt * (begin + np.arange(len(case.states)))
     shown = (time >= first) & (time <= last)
@@ -234,7 +223,7 @@ def plot_free_run(
             states = _continuous(cases.system, prediction.model(name).free_states[run][shown], channel)
             ax.plot(time[shown], states, linewidth=1.1, label=name, **model_style(prediction, name))
 
-    draw([m.name for m in prediction.models if m.free_states] if models is None else models)
+    draw(models)
     if len(measured):
         middle = (np.nanmax(measured) + np.nanmin(measured)) / 2.0
         half = (np.nanmax(measured) - np.nanmin(measured)) / 2.0
@@ -244,9 +233,8 @@ def plot_free_run(
     limits = ax.get_ylim()
     draw(besides)
     ax.set_ylim(*limits)
-    state = cases.system.states[channel]
     ax.set_xlim(first, last)
-    ax.set_ylabel(f"{state.name} ({state.unit})" if state.unit else state.name)
+    ax.set_ylabel(with_unit(cases.system.states[channel]))
     ax.set_xlabel("time (s)")
     return ax
 
@@ -259,13 +247,17 @@ def _continuous(system: System, states: Array, channel: int) -> Array:
     return values
 
 
-def excerpt(prediction: Prediction, run: int = 0, length: float = 15.0) -> tuple[float, float]:
-    """Return the first and last second of ``length`` seconds from the first movement of a simulation."""
+EXCERPT = 15.0
+"""Seconds of a simulation that are drawn."""
+
+
+def excerpt(prediction: Prediction, run: int) -> tuple[float, float]:
+    """Return the first and last second of the excerpt, which begins with the first movement of a simulation."""
     case, dt = prediction.cases.free_runs[run], prediction.cases.system.dt
     moving = np.flatnonzero(case.moving)
-    offset = prediction.cases.protocol.first + 1
-    first = max(0, min(int(moving[0]) if len(moving) else 0, len(case.states) - round(length / dt)))
-    return (offset + first) * dt, min(offset + first + round(length / dt), offset + len(case.states) - 1) * dt
+    offset, length = prediction.cases.protocol.first + 1, round(EXCERPT / dt)
+    first = max(0, min(int(moving[0]) if len(moving) else 0, len(case.states) - length))
+    return (offset + first) * dt, min(offset + first + length, offset + len(case.states) - 1) * dt
 
 
 def model_style(prediction: Prediction, name: str) -> dict[str, Any]:
@@ -278,7 +270,7 @@ def model_style(prediction: Prediction, name: str) -> dict[str, Any]:
 FORWARD, BACKWARD, PASSED = COLOURS[:3]
 
 
-def plot_trace(trace: Trace, ax: Axes | None = None) -> Axes:
+def plot_trace(trace: Trace, ax: Axes) -> Axes:
     """Draw the path (blue forwards, orange backwards), the walls and the numbered waypoints, in metres.
 
     Raises `InvalidData` for a trajectory without a pose in the plane.
@@ -290,7 +282,6 @@ def plot_trace(trace: Trace, ax: Axes | None = None) -> Axes:
     pose = trace.trajectory.pose
     if pose is None or pose.shape[1] != 3:
         raise InvalidData(f"trace {trace.trajectory.name!r}: expected a pose x, y, heading to draw")
-    ax = axes_or_new(ax, 3.4, 3.4)
     for wall in trace.walls:
         ax.plot(*wall.T, color=REFERENCE, linewidth=0.9)
     ends = pose[:, :2]
@@ -324,12 +315,11 @@ def plot_trace(trace: Trace, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_state(trace: Trace, system: System, place: int, ax: Axes | None = None) -> Axes:
+def plot_state(trace: Trace, system: System, place: int, ax: Axes) -> Axes:
     """Draw one state over time (blue), its target (grey) and the tolerance around the target.
 
     A periodic state is drawn within half a period of its target, and its line breaks where it jumps.
     """
-    ax = axes_or_new(ax, 3.4, 1.6)
     channel, values = system.states[place], trace.trajectory.states[:, place].copy()
     time = trace.trajectory.dt * np.arange(len(values))
     target = next((target for target in trace.targets if target.place == place), None)
@@ -346,7 +336,7 @@ def plot_state(trace: Trace, system: System, place: int, ax: Axes | None = None)
     ax.plot(time, values, color=FORWARD, linewidth=1.0)
     ax.set_xlim(0.0, time[-1])
     ax.set_xlabel("time (s)")
-    ax.set_ylabel(f"{channel.name} ({channel.unit})" if channel.unit else channel.name)
+    ax.set_ylabel(with_unit(channel))
     return ax
 
 
@@ -400,13 +390,13 @@ def plot_responses(
             room = ROOM * (high - low) or 1.0
             ax.set_ylim(max(ends[0].min() - 0.05 * room, low - room), min(ends[1].max() + 0.05 * room, high + room))
         if row == 0:
-            ax.set_title(_with_unit(controls[column]))
+            ax.set_title(with_unit(controls[column]))
         if column == 0:
-            ax.set_ylabel(folded(_with_unit(states[row])))
+            ax.set_ylabel(folded(with_unit(states[row])))
         if row == len(states) - 1:
             ax.set_xlabel(label)
     figure.align_ylabels(axes[:, 0])
 
 
-def _with_unit(channel: Channel) -> str:
+def with_unit(channel: Channel) -> str:
     return f"{channel.name} ({channel.unit})" if channel.unit else channel.name

@@ -14,12 +14,11 @@ from evaluation.cells.models import Fit, Predict
 from evaluation.chosen_models import models_of
 from evaluation.experiment import FILE, Experiment, Settings
 from evaluation.planning import Comparison, check_experiment, plan_comparison
-from evaluation.prediction.cases import measured_cases
+from evaluation.prediction.cases import PredictionProtocol, measured_cases
 from evaluation.prediction.scores import PERSISTENCE, ModelPrediction, Prediction
 from evaluation.report.report import PrintedReport, save_report
 from evaluation.report.study import save_study
 from evaluation.results import ComparisonResults, DataSummary, Failure, ModelSummary
-from evaluation.rounds import RoundsSummary
 from evaluation.run_folder import CHOSEN, check_run_folder
 from evaluation.study.planning import PlannedStudy, plan_study
 from evaluation.study.results import StudyResults, gather_study, save_parquet
@@ -270,6 +269,7 @@ def gather_results(comparison: Comparison, store: Store) -> ComparisonResults:
     found = None if comparison.exploitability is None else store.outcome(comparison.exploitability).value
     computed = store.last_computed(comparison.plan)
     learned = None if comparison.learned is None else store.outcome(comparison.learned).value
+    rounds = None if comparison.last_round is None else store.outcome(comparison.last_round).value
     data = DataSummary.of(training, training if test is None else test)
     return PrintedReport(
         title=comparison.title,
@@ -293,19 +293,10 @@ def gather_results(comparison: Comparison, store: Store) -> ComparisonResults:
         },
         task_notes=() if learned is None else learned.sentences,
         task_warning="" if learned is None else learned.warning,
-        rounds=_rounds(comparison, store),
+        rounds=None if rounds is None else rounds.summary,
         timings={cell.title: store.outcome(cell).seconds for cell in comparison.plan},
         day=None if computed is None else computed.date(),
     )
-
-
-def _rounds(comparison: Comparison, store: Store) -> RoundsSummary | None:
-    found = None if comparison.last_round is None else store.outcome(comparison.last_round).value
-    return None if found is None else found.summary
-
-
-MATRIX_KINDS = ("run",)
-"""Kinds of cells whose failures are listed in the transfer matrix."""
 
 
 def _controllers(comparison: Comparison, store: Store) -> dict[str, str]:
@@ -331,23 +322,20 @@ def _prediction(comparison: Comparison, store: Store) -> Prediction | None:
             rows.append(outcome.value)
         elif label not in comparison.fits or store.outcome(comparison.fits[label]).value is not None:
             rows.append(ModelPrediction(label, cell.settings.family, reason=outcome.reason or ""))
-    protocol = next(iter(comparison.predictions.values())).settings.protocol
-    return Prediction(measured_cases(parts.training, parts.test, protocol), tuple(rows))
+    return Prediction(measured_cases(parts.training, parts.test, PredictionProtocol()), tuple(rows))
 
 
 def _failures(comparison: Comparison, store: Store) -> list[Failure]:
-    """Return the cells that failed themselves, without those that only needed one of them."""
+    """Return the cells that failed themselves, without those that only needed one of them.
+
+    Failures of runs and predictions are listed in the matrix and the prediction.
+    """
     found = []
     for cell in comparison.plan:
         record = store.find(cell.digest)
-        listed_there = cell.kind in MATRIX_KINDS or cell.kind == "predict"
-        if record is not None and record.status == "failed" and not listed_there:
-            found.append(Failure(cell.title, record.reason or ""))
-        elif (
-            record is None
-            and not listed_there
-            and all(store.outcome(needed).value is not None for needed in cell.needs)
-        ):
+        could = all(store.outcome(needed).value is not None for needed in cell.needs) if record is None else True
+        failed = could if record is None else record.status == "failed"
+        if failed and cell.kind not in ("run", "predict"):
             found.append(Failure(cell.title, store.outcome(cell).reason or ""))
     return found
 

@@ -63,10 +63,7 @@ class Steps:
 
     def thinned(self, most: int) -> Steps:
         """Return at most ``most`` of them, evenly spread."""
-        if len(self) <= most:
-            return self
-        rows = evenly_spaced(len(self), most, nearest=True)
-        return Steps(self.system, self.before[rows], self.control[rows], self.after[rows])
+        return self if len(self) <= most else self[evenly_spaced(len(self), most, nearest=True)]
 
     @classmethod
     def moving(cls, dataset: Dataset) -> Steps:

@@ -7,16 +7,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from evaluation.advice.advise import advise_model
-from evaluation.advice.evidence import Evidence, ModelAdvice
+from evaluation.advice.evidence import ModelAdvice
 from evaluation.cells.controllers import CONTROLLERS, Baseline, ControllerCell, identity_of
 from evaluation.cells.data import SplitDataset
-from evaluation.cells.models import Fit, Predict, ScoreFit
+from evaluation.cells.models import PROTOCOL, Fit, Predict, ScoreFit
 from evaluation.cells.plants import ACCURATE, STEPS, Plant, accurate_plants, labels_of, runners
 from evaluation.exploitability.assessment import assess_exploitability
 from evaluation.exploitability.results import ModelExploitability
 from evaluation.exploitability.search import search_exploit
 from evaluation.prediction.cases import measured_cases
-from evaluation.prediction.scores import ModelPrediction, Prediction
+from evaluation.prediction.scores import Prediction
 from evaluation.storage import result_of
 from evaluation.transfer.matrix import (
     MeasuredResult,
@@ -208,20 +208,10 @@ class Advise(CellSettings):
         errors = {label: score.n for label, score in scores.items() if label in models and score.n is not None}
         if errors or parts.test is None:
             return min(errors, key=lambda label: errors[label], default=first)
-        if self.predictions:
-            found: dict[str, ModelPrediction] = {
-                label: value for label, cell in self.predictions.items() if (value := work.result(cell)) is not None
-            }
-            protocol = next(iter(self.predictions.values())).settings.protocol
-            cases = measured_cases(parts.training, parts.test, protocol)
-            ranking = Prediction(cases, tuple(found.values())).ranking(cases.main_horizon)
-            return next((one.name for one in ranking if one.name in models), first)
-        evidence = [
-            Evidence(name=label, model=model, training=parts.training, test=parts.test)
-            for label, model in models.items()
-        ]
-        scored = {one.name: one.test_windows.n(one.std) for one in evidence if len(one.test_windows.errors)}
-        return min(scored, key=lambda label: scored[label], default=first)
+        found = [value for cell in self.predictions.values() if (value := work.result(cell)) is not None]
+        cases = measured_cases(parts.training, parts.test, PROTOCOL)
+        ranking = Prediction(cases, tuple(found)).ranking(cases.main_horizon)
+        return next((one.name for one in ranking if one.name in models), first)
 
 
 @dataclass(frozen=True)

@@ -352,6 +352,9 @@ def evolution_settings(experiment: Experiment) -> ControllerEvolution:
     budget, noise, task = experiment.budget, experiment.noise, Spec.parse(experiment.task or DEFAULT_TASK)
     if noise is None:
         noise = str(getattr(tasks.get(task.name), "default_noise", ""))
+    starts = experiment.starts
+    if starts is None:
+        starts = DEFAULT_STARTS if task.name == "environment" and _free_to_choose(experiment) else ""
     return ControllerEvolution(
         generations=budget.generations,
         trials=budget.trials,
@@ -365,7 +368,7 @@ def evolution_settings(experiment: Experiment) -> ControllerEvolution:
         noise="" if noise == NONE else noise,
         penalty=experiment.penalty,
         schedule=Stage.listed(experiment.schedule) if experiment.schedule else (),
-        starts=Start.listed(usual_starts(experiment, task) if experiment.starts is None else experiment.starts),
+        starts=Start.listed(starts),
     )
 
 
@@ -380,11 +383,6 @@ which does not begin with extreme commands that such a task may punish, and the 
 
 FEW_GENERATIONS = 60
 """Number of generations below which a search is too short to compare starts."""
-
-
-def usual_starts(experiment: Experiment, task: Spec) -> str:
-    """Return the starts of the task of an environment, unless a controller, a strategy or a schedule is given."""
-    return DEFAULT_STARTS if task.name == "environment" and _free_to_choose(experiment) else ""
 
 
 def _free_to_choose(experiment: Experiment) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from sysid_evo.validation.measures import mean_over_channels
 
 DIGEST = re.compile(r"-[0-9a-f]{8}$")
 """Suffix that a store adds to the name of a file."""
+PROTOCOL = PredictionProtocol()
 FIT_SECONDS = {"quick": 2.0, "standard": 15.0, "paper": 15.0}
 
 
@@ -90,7 +91,6 @@ class Predict(CellSettings):
     family: str
     data: Cell
     model: Cell | None = None
-    protocol: PredictionProtocol = field(default_factory=PredictionProtocol)
 
     def cell(self) -> Cell[Predict]:
         """Return the cell of the scores."""
@@ -104,11 +104,11 @@ class Predict(CellSettings):
         )
 
     def inputs(self) -> dict[str, Any]:
-        return {"protocol": asdict(self.protocol)}
+        return {"protocol": asdict(PROTOCOL)}
 
     def compute(self, work: CellContext) -> ModelPrediction:
         parts = work.result(self.data)
-        cases = measured_cases(parts.training, parts.test, self.protocol)
+        cases = measured_cases(parts.training, parts.test, PROTOCOL)
         if self.model is None:
             persistence = Persistence().fit(parts.training, rng=np.random.default_rng(0))
             return score_model(self.label, persistence, cases, family=self.family)
@@ -139,7 +139,6 @@ class ScoreFit(CellSettings):
     """
 
     fit: Cell[Fit]
-    protocol: PredictionProtocol = field(default_factory=PredictionProtocol)
 
     def cell(self) -> Cell[ScoreFit]:
         """Return the cell of the score."""
@@ -154,7 +153,7 @@ class ScoreFit(CellSettings):
         )
 
     def inputs(self) -> dict[str, Any]:
-        return {"protocol": asdict(self.protocol)}
+        return {"protocol": asdict(PROTOCOL)}
 
     def compute(self, work: CellContext) -> HeldOutScore:
         fit = self.fit.settings
@@ -169,7 +168,7 @@ class ScoreFit(CellSettings):
             if parts.test is None:
                 parts = HoldOut().of(parts.training)
                 evaluated_on = "the last quarter of the data (a copy was fitted to the rest)"
-            cases = measured_cases(parts.training, parts.test, self.protocol)
+            cases = measured_cases(parts.training, parts.test, PROTOCOL)
             horizon = cases.main_horizon
             if evaluated_on != "the test part":
                 model = fit.learn(parts.training, work)
@@ -233,7 +232,6 @@ class LeaveConditionsOut(CellSettings):
 
     fit: Cell[Fit]
     conditions: int
-    protocol: PredictionProtocol = field(default_factory=PredictionProtocol)
 
     def cell(self) -> Cell[LeaveConditionsOut]:
         """Return the cell of the errors."""
@@ -248,12 +246,12 @@ class LeaveConditionsOut(CellSettings):
         )
 
     def inputs(self) -> dict[str, Any]:
-        return {"model": models.identity(self.fit.settings.spec), "protocol": asdict(self.protocol)}
+        return {"model": models.identity(self.fit.settings.spec), "protocol": asdict(PROTOCOL)}
 
     def compute(self, work: CellContext) -> tuple[ConditionError, ...]:
         fit = self.fit.settings
         parts = work.result(fit.data)
-        return condition_errors(work.result(self.fit), fit.learn, parts.training, parts.test, self.protocol)
+        return condition_errors(work.result(self.fit), fit.learn, parts.training, parts.test, PROTOCOL)
 
 
 def file_digests(spec: Spec) -> list[str]:

@@ -238,11 +238,12 @@ class Round(CellSettings):
         claims = [
             DynamicsRunner(model).bind(driver, judge)(champion.parameters[None], seeds) for model in searched.values()
         ]
+        combined = make_aggregate(self.evolution.aggregate)
         made = RecordingRound(
             number=self.number,
             controller=champion.controller.text,
             parameters=champion.parameters,
-            claimed=_claimed(claims, self.evolution.aggregate),
+            claimed=np.asarray(combined(np.stack([run.fitness[0] for run in claims])[:, :, None])),  # (M, E, 1) to (E,)
             achieved=np.concatenate([one.fitness[0] for one in judged]),
             steps=np.concatenate([one.survived[0] for one in driven]),
             errors={label: error_ahead(model, dataset, new) for label, model in learned.items()},
@@ -391,12 +392,6 @@ def recorded_task(task: Spec, dataset: Dataset) -> Spec:
     """Return ``task`` with the reward that it learns from ``dataset``, unchanged if it needs no recording."""
     made = make_task(task)
     return Spec(task.name, {**task.parameters, **made.learn(dataset).parameters}) if made.needs_recording else task
-
-
-def _claimed(runs: Sequence[Rollouts], aggregate: str) -> Array:
-    """Return the fitness in each trial (E,), combined over the models as in the evolution."""
-    fitness = np.stack([run.fitness[0] for run in runs])  # (M, E)
-    return np.asarray(make_aggregate(aggregate)(fitness[:, :, None]))
 
 
 def error_ahead(model: DynamicsModel, recorded: Dataset, episodes: Sequence[Trajectory]) -> float:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from evaluation.formatting import few
 from sysid_evo.data import Dataset, Trajectory, Windows
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.system import System
@@ -179,8 +180,6 @@ class FreeRun:
     """One episode from sample ``first`` to its end: H steps, and which targets move (H,)."""
 
     episode: str
-    past_states: Array
-    past_controls: Array
     controls: Array
     states: Array
     moving: BoolArray
@@ -205,7 +204,7 @@ def measured_cases(training: Dataset, test: Dataset, protocol: PredictionProtoco
     if left_out:
         longest = max(len(episode) for episode in test.episodes) - protocol.first
         notes.append(
-            f"horizon {_listed(left_out)} left out: no moving test window has that length "
+            f"horizon {few(list(map(str, left_out)), MOST_LISTED)} left out: no moving test window has that length "
             f"(the longest episode leaves {max(longest, 0)} steps after sample {protocol.first})"
         )
     truth = np.concatenate([e.states[rows] for e, rows in zip(test.episodes, test.moving, strict=True)])
@@ -214,10 +213,12 @@ def measured_cases(training: Dataset, test: Dataset, protocol: PredictionProtoco
     std, rms = spread_of(system, truth), np.sqrt(np.mean(system.wrap(truth) ** 2, axis=0))
     constant = [channel.name for channel, size in zip(system.states, std, strict=True) if size == 0]
     if constant:
-        notes.append(f"{_listed(constant)} is constant in the test set and left out of N")
+        notes.append(f"{few(constant, MOST_LISTED)} is constant in the test set and left out of N")
     short = [episode.name for episode in test.episodes if len(episode) <= protocol.first]
     if short:
-        notes.append(f"no simulation of whole episode {_listed(short)}: shorter than {protocol.first + 1} steps")
+        notes.append(
+            f"no simulation of whole episode {few(short, MOST_LISTED)}: shorter than {protocol.first + 1} steps"
+        )
     return MeasuredCases(
         system=system,
         test=test,
@@ -257,12 +258,10 @@ def _window_blocks(windows: Windows, size: int) -> IntArray:
 
 
 def _free_runs(test: Dataset, protocol: PredictionProtocol) -> tuple[FreeRun, ...]:
-    first, begin = protocol.first, protocol.first - protocol.given
+    first = protocol.first
     return tuple(
         FreeRun(
             episode=episode.name,
-            past_states=episode.states[begin : first + 1],
-            past_controls=episode.controls[begin:first],
             controls=episode.controls[first:],
             states=episode.states[first + 1 :],
             moving=rows[first + 1 :],
@@ -293,9 +292,3 @@ ROUNDING = 1e-12
 
 MOST_LISTED = 6
 """Maximum number of names in a note; of the others the number is given."""
-
-
-def _listed(items: list[int] | list[str]) -> str:
-    if len(items) <= MOST_LISTED:
-        return ", ".join(map(str, items))
-    return f"{', '.join(map(str, items[:MOST_LISTED]))} and {len(items) - MOST_LISTED} others"

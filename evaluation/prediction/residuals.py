@@ -109,10 +109,6 @@ class Residuals:
         size = np.abs(self.cross[past, control, channel]) / self.cross_band[past, control, channel]
         return int(np.nan_to_num(size).argmax())
 
-    def cross_at(self, lag: int) -> Array:
-        """Return the correlation (nu, nx) with the controls ``lag`` steps before the step's own."""
-        return np.asarray(self.cross[AHEAD + lag])
-
 
 def analyse_residuals(steps: OneStepErrors) -> Residuals:
     """Return autocorrelation and cross-correlation of one-step errors."""

@@ -13,6 +13,7 @@ from pydantic import ConfigDict, Field, ValidationError
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from evaluation.advice.evidence import ModelAdvice
 from evaluation.behaviour import driving_summaries
 from evaluation.report.document import Part
 from evaluation.report.elements import Answer, Page, Section, Tone
@@ -33,7 +34,7 @@ from evaluation.report.sections import (
     run,
     transfer,
 )
-from evaluation.report.sections.advice import AdvicePart, advice_lines
+from evaluation.report.sections.advice import advice_lines
 from evaluation.report.sections.behaviour import BehaviourPart, behaviour_parts
 from evaluation.report.sections.controllers import (
     ControllersPart,
@@ -145,7 +146,7 @@ class ReportDocument(Part):
     error_analysis: ErrorAnalysisPart | None
     rounds: RoundsPart | None
     models: tuple[ModelPart, ...]
-    advice: AdvicePart | None
+    advice: ModelAdvice | None
     behaviour: tuple[BehaviourPart, ...]
     data: DataPart
     run: RunPart
@@ -168,7 +169,7 @@ class ReportDocument(Part):
             error_analysis=None if prediction is None else ErrorAnalysisPart.of(prediction),
             rounds=None if report.rounds is None else RoundsPart.model_validate(report.rounds),
             models=tuple(map(ModelPart.of, report.models)),
-            advice=None if report.advice is None else AdvicePart.model_validate(report.advice),
+            advice=report.advice,
             behaviour=() if matrix is None else tuple(behaviour_parts(report.driving_summaries, matrix)),
             data=DataPart.of(report),
             run=RunPart.of(report),

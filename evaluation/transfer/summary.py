@@ -12,7 +12,7 @@ from evaluation.transfer.forecast import Forecast, best_choice, forecasts
 from evaluation.transfer.matrix import TransferMatrix
 from sysid_evo.evolution import Champion
 from sysid_evo.evolution.aggregates import Aggregate, make_aggregate, mean
-from sysid_evo.types import Array, IntArray
+from sysid_evo.types import Array
 from sysid_evo.validation.acceptance import surely_more
 from sysid_evo.validation.estimates import Draws, Estimate, draw_blocks, estimate_of
 
@@ -108,16 +108,13 @@ def summary_of(matrix: TransferMatrix, errors: Mapping[str, float | None] | None
     return chosen_by(summarise(matrix), found, best_choice(matrix, found))
 
 
-FIGURE = "forecast"
-
-
 def chosen_by(summary: TransferSummary, found: Mapping[str, Forecast], pick: str | None) -> TransferSummary:
     """Return ``summary`` with this ``pick``, see `best_choice`, and the rank correlation of the forecast."""
     evolved = [one for one in summary.controllers if one.name in found and one.against and not one.evolved_on_robot]
     if pick is None:
         return replace(summary, pick=None)
     pairs = [(found[one.name].value, one.achieved.value) for one in evolved if one.achieved is not None]
-    ranked = (RankCorrelation(FIGURE, rank_correlation(pairs), len(pairs)),) if summary.correlations else ()
+    ranked = (RankCorrelation("forecast", rank_correlation(pairs), len(pairs)),) if summary.correlations else ()
     return replace(summary, pick=pick, correlations=(*summary.correlations, *ranked))
 
 
@@ -171,10 +168,8 @@ def mean_ranks(values: Sequence[float]) -> Array:
     return ranks[place]
 
 
-@lru_cache(maxsize=4)
-def _draws_of(trials: int) -> IntArray:
-    """Return the draws that all figures over that many trials share; making them takes longer than using them."""
-    return draw_blocks(trials)
+_draws_of = lru_cache(maxsize=4)(draw_blocks)
+"""The draws that all figures over that many trials share; making them takes longer than using them."""
 
 
 @dataclass(frozen=True)

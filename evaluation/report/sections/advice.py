@@ -10,7 +10,6 @@ from rich.table import Table
 from rich.text import Text
 
 from evaluation.advice.evidence import ModelAdvice, Remark
-from evaluation.report.document import Number, Part
 from evaluation.report.elements import Section, TableElement
 from evaluation.results import ComparisonResults
 
@@ -19,24 +18,14 @@ def section(report: ComparisonResults) -> Section | None:
     """Return the advice; None without any."""
     if report.advice is None or not report.advice.remarks:
         return None
-    return Section(
-        limits_question(report.advice).rstrip("?"),
-        [advice_sheet(report.advice)],
-        background=True,
-        link="Next recording",
-    )
-
-
-def advice_sheet(advice: ModelAdvice) -> TableElement:
-    """Return what limits the best model, and what to record next."""
-    rows = tuple((remark.topic, remark.sentence) for remark in advice.remarks)
-    return TableElement(
+    sheet = TableElement(
         "Findings, the most important first",
         ("topic", "finding and next step"),
-        rows,
-        note=f"Evaluated on {advice.evaluated_on}.",
+        tuple((remark.topic, remark.sentence) for remark in report.advice.remarks),
+        note=f"Evaluated on {report.advice.evaluated_on}.",
         prose=True,
     )
+    return Section(limits_question(report.advice).rstrip("?"), [sheet], background=True, link="Next recording")
 
 
 def advice_lines(advice: ModelAdvice) -> list[RenderableType]:
@@ -60,20 +49,3 @@ def remark_lines(question: str, remarks: Sequence[Remark]) -> list[RenderableTyp
 def limits_question(advice: ModelAdvice) -> str:
     """Return the question that the advice answers."""
     return f"What limits {advice.model}, and what to record next?"
-
-
-class RemarkPart(Part):
-    """One thing that limits the best model; ``figures`` are the numbers in the sentence."""
-
-    topic: str
-    sentence: str
-    weight: Number
-    figures: dict[str, Number]
-
-
-class AdvicePart(Part):
-    """What limits the best model and what to record next, the most important first."""
-
-    model: str
-    evaluated_on: str
-    remarks: tuple[RemarkPart, ...]

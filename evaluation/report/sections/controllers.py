@@ -14,7 +14,6 @@ from evaluation.formatting import (
     few,
     folded,
     lines,
-    listed,
     percent,
     plus_minus,
     three_digits,
@@ -198,7 +197,7 @@ def model_weight_table(report: ComparisonResults) -> TableElement | None:
         weight = report.forecasts[found.controllers[0]].weights.get(name)
         rows.append(
             (
-                lines(name, "" if found.controllers == (name,) else f"({listed(found.controllers)})"),
+                lines(name, "" if found.controllers == (name,) else f"({', '.join(found.controllers)})"),
                 three_digits(found.claimed),
                 sized(found),
                 share,

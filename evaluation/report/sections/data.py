@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from evaluation.formatting import listed, number, percent
+from evaluation.formatting import number, percent
 from evaluation.report.document import Number, Part
 from evaluation.report.elements import Section, TableElement
 from evaluation.results import ComparisonResults, EpisodeSummary
@@ -53,7 +53,7 @@ def channel_list(report: ComparisonResults) -> TableElement:
             channel.unit or "–",
             number(channel.low, 3),
             number(channel.high, 3),
-            "–" if channel.levels is None else listed([f"{level:g}" for level in channel.levels]),
+            "–" if channel.levels is None else ", ".join(f"{level:g}" for level in channel.levels),
         )
         for kind, channels in (("state", system.states), ("control", system.controls))
         for channel in channels

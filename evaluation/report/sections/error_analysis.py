@@ -75,7 +75,7 @@ def _left(model: ModelPrediction, prediction: Prediction, channel: int) -> str:
     for place, control in enumerate(prediction.cases.system.control_names):
         if found.cross_p[place, channel] < LEVEL / prediction.cases.system.nu:
             lag = found.control_lag(place, channel)
-            shown.append(f"{control}, {lag * dt:g} s: {found.cross_at(lag)[place, channel]:+z.2f}")
+            shown.append(f"{control}, {lag * dt:g} s: {found.cross[AHEAD + lag, place, channel]:+z.2f}")
     return lines(colour, *shown)
 
 

@@ -305,8 +305,7 @@ def free_run_picture(prediction: Prediction) -> FigureElement:
     parts = ranked[:SHOWN_MODELS], ranked[SHOWN_MODELS:]
     best, rest = ([name for name in prediction.names if name in part] for part in parts)
     cases = prediction.cases
-    scale = np.where(cases.std > 0, cases.std, np.nan)
-    variation = [-mean_over_channels(run.states.std(axis=0) / scale) for run in cases.free_runs]
+    variation = [-mean_over_channels(run.states.std(axis=0) / cases.scale) for run in cases.free_runs]
     runs = np.argsort(np.nan_to_num(variation), kind="stable")[:SHOWN_EPISODES].tolist()
     left_out = f"; the best {SHOWN_MODELS} of {len(ranked)} models are shown at first" if rest else ""
     several = (
@@ -327,7 +326,7 @@ def _episode(prediction: Prediction, run: int, best: Sequence[str], rest: Sequen
     def draw(figure: Figure) -> None:
         plots = figure.subplots(nx, 1, sharex=True, squeeze=False)[:, 0]
         for channel, ax in enumerate(plots):
-            plot_free_run(prediction, channel, models=best, besides=rest, run=run, ax=ax)
+            plot_free_run(prediction, channel, ax, models=best, besides=rest, run=run)
             ax.label_outer()
         figure.align_ylabels(plots)
 
@@ -507,16 +506,6 @@ class DifferencePart(Part):
     verdict: str
 
 
-class ConditionErrorPart(Part):
-    """N in the test data of one condition: fitted with it (``within``), and without (``across``, ``covered``)."""
-
-    condition: str
-    horizon: int
-    within: Number
-    across: Number
-    covered: Number
-
-
 class PredictionPart(Part):
     """Prediction errors of all models; ``std`` and ``rms`` of each measured state, ``conditions`` by model."""
 
@@ -527,10 +516,10 @@ class PredictionPart(Part):
     rms: dict[str, Number]
     models: tuple[ModelPredictionPart, ...]
     differences: tuple[DifferencePart, ...]
-    conditions: dict[str, tuple[ConditionErrorPart, ...]]
+    conditions: dict[str, tuple[ConditionError, ...]]
 
     @classmethod
-    def of(cls, prediction: Prediction, conditions: Mapping[str, Sequence[ConditionError]]) -> PredictionPart:
+    def of(cls, prediction: Prediction, conditions: Mapping[str, tuple[ConditionError, ...]]) -> PredictionPart:
         """Return the errors of all models, and those within and across conditions."""
         cases = prediction.cases
         differences = [
@@ -555,7 +544,5 @@ class PredictionPart(Part):
                 )
                 for found in differences
             ),
-            conditions={
-                name: tuple(map(ConditionErrorPart.model_validate, found)) for name, found in conditions.items()
-            },
+            conditions=dict(conditions),
         )

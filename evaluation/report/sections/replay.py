@@ -266,13 +266,13 @@ SQUARE = (0.19, 0.17, 0.79, 0.79)
 
 def traces_picture(matrix: TransferMatrix) -> FigureElement | None:
     """Return path or states of each controller in its own model and on the robot, in the first trial."""
-    found = [(name, column, trace) for name in matrix.rows for column, trace in _traces(name, matrix)]
+    found = [(champion, column, trace) for champion in matrix.champions for column, trace in _traces(champion, matrix)]
     if not found:
         return None
     paths = all(has_path(trace) and not trace.targets for _, _, trace in found)
     panels: list[DrawingPair] = []
-    for name, column, trace in found[:SHOWN_TRACES]:
-        champion, label = _champion(name, matrix), f"{name} on {column}"
+    for champion, column, trace in found[:SHOWN_TRACES]:
+        label = f"{champion.name} on {column}"
         for words, view in views(trace, champion.system).items() if paths else [("", trace)]:
             number, title = len(panels), label + words
             drawing = _path(number, title, view) if paths else _over_time(number, title, view, champion)
@@ -292,22 +292,17 @@ def traces_picture(matrix: TransferMatrix) -> FigureElement | None:
     )
 
 
-def _traces(name: str, matrix: TransferMatrix) -> Sequence[tuple[str, Trace]]:
+def _traces(champion: Champion, matrix: TransferMatrix) -> Sequence[tuple[str, Trace]]:
     """Return the first trace of a champion in a model that it was evolved in, and on the robot."""
-    champion = _champion(name, matrix)
 
     def first(column: str) -> Trace | None:
-        traces = matrix.cell(name, column).traces
+        traces = matrix.cell(champion.name, column).traces
         shown = bool(traces) and (has_path(traces[0]) or champion.system is not None)
         return traces[0] if shown else None
 
     own = next((column for column in champion.against if column in matrix.models and first(column) is not None), None)
     columns = [column for column in (own, matrix.robot) if column is not None]
     return [(column, trace) for column in columns if (trace := first(column)) is not None]
-
-
-def _champion(name: str, matrix: TransferMatrix) -> Champion:
-    return next(champion for champion in matrix.champions if champion.name == name)
 
 
 def _path(number: int, label: str, trace: Trace) -> Drawing:

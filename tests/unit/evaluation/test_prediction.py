@@ -4,6 +4,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
+from evaluation.plot_style import new_figure
 from evaluation.plots import plot_free_run
 from evaluation.prediction.cases import PredictionProtocol
 from evaluation.prediction.scores import PERSISTENCE
@@ -93,7 +94,7 @@ def test_a_model_that_doubles_reaches_the_guard_at_the_time_of_theory():
     row, cases = prediction.model("exploding"), prediction.cases
     envelope = fitted(models.Exploding()).state_bounds
     limit = np.minimum(cases.guard[1], np.minimum(envelope[1], -envelope[0]))
-    steps = np.log2(limit / np.abs(cases.free_runs[0].past_states[-1])).min()
+    steps = np.log2(limit / np.abs(cases.test.episodes[0].states[cases.protocol.first])).min()
     assert row.divergence.free_run_times[0] == pytest.approx(np.ceil(steps) * 0.05, abs=0.051)
     assert row.divergence.share > 0.95
     assert all(np.isfinite(score.n) for score in row.scores)
@@ -230,7 +231,7 @@ def test_states_a_turn_apart_are_equally_far_outside_the_data():
 
 
 def test_the_line_of_an_angle_breaks_where_it_jumps():
-    ax = plot_free_run(turned_round(), 0, seconds=(0.0, 10.0))
+    ax = plot_free_run(turned_round(), 0, new_figure(4.0, 3.0).add_subplot(), models=["turned"])
     values = np.asarray(ax.lines[0].get_ydata(), dtype=float)
     assert np.isnan(values).any()
     assert np.nanmax(np.abs(values)) <= np.pi + 1e-9

@@ -71,7 +71,7 @@ def test_a_control_that_acts_later_than_the_model_knows_is_found_with_its_lag():
     assert found.control_lag(1, 0) == 6
     assert found.cross_p[1, 0] < 0.001
     assert found.cross_p[0, 0] > 0.05
-    assert found.cross_at(6)[1, 0] == pytest.approx(0.8 / np.sqrt(3.0), abs=0.15)
+    assert found.cross[AHEAD + 6, 1, 0] == pytest.approx(0.8 / np.sqrt(3.0), abs=0.15)
 
 
 def test_a_driver_who_reacts_to_noise_is_no_missing_control():
@@ -79,7 +79,7 @@ def test_a_driver_who_reacts_to_noise_is_no_missing_control():
     errors = rng.standard_normal((STEPS, 1))
     controls = np.concatenate([np.zeros((2, 1)), errors[:-2]]) + 0.1 * rng.standard_normal((STEPS, 1))
     found = analysed(errors, controls)
-    assert abs(found.cross_at(-2)[0, 0]) > 0.9
+    assert abs(found.cross[AHEAD - 2, 0, 0]) > 0.9
     assert found.cross_p[0, 0] > 0.05
 
 

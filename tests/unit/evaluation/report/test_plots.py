@@ -40,11 +40,15 @@ def claiming(report):
     return [one for one in report.transfer.controllers if one.claimed and one.elsewhere]
 
 
-def draw(report, on=lambda: None):
+def axes():
+    return new_figure(4.0, 3.0).add_subplot()
+
+
+def draw(report, on=axes):
     trace = report.matrix.cell("known_c", "known").traces[0]
     return {
         "curve": plot_horizon_curve(report.prediction, on()),
-        "free run": plot_free_run(report.prediction, 2, ax=on()),
+        "free run": plot_free_run(report.prediction, 2, on(), models=report.prediction.names),
         "fitness": plot_fitness(report.matrix.champions[0], on(), unit="waypoints"),
         "claims": plot_claimed_measured(claiming(report), on(), unit="waypoints", label="measured (waypoints)"),
         "trace": plot_trace(trace, on()),
@@ -71,7 +75,7 @@ def test_a_plot_is_drawn_on_the_axes_it_is_given_and_leaves_pyplot_alone(report)
     given = []
 
     def fresh():
-        given.append(new_figure(4.0, 3.0).add_subplot())
+        given.append(axes())
         return given[-1]
 
     assert list(draw(report, fresh).values()) == given
@@ -80,7 +84,7 @@ def test_a_plot_is_drawn_on_the_axes_it_is_given_and_leaves_pyplot_alone(report)
 
 
 def test_the_same_plot_gives_the_same_svg(report):
-    one, two = (to_svg(plot_horizon_curve(report.prediction).figure) for _ in range(2))
+    one, two = (to_svg(plot_horizon_curve(report.prediction, axes()).figure) for _ in range(2))
     assert one == two
     assert "<dc:date>" not in one
 
@@ -94,14 +98,14 @@ def test_traces_have_equal_axes_in_metres(drawn):
 
 def test_driving_backwards_has_its_own_colour():
     pose = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    ax = plot_trace(Trace(Trajectory(np.zeros((3, 1)), np.zeros((2, 1)), 0.1, pose), 0.0))
+    ax = plot_trace(Trace(Trajectory(np.zeros((3, 1)), np.zeros((2, 1)), 0.1, pose), 0.0), axes())
     forward, backward = ax.collections[0].get_colors()
     assert not np.allclose(forward, backward)
 
 
 def test_a_trace_without_a_pose_is_refused():
     with pytest.raises(InvalidData, match="pose"):
-        plot_trace(Trace(Trajectory(np.zeros((3, 1)), np.zeros((2, 1)), 0.1), 0.0))
+        plot_trace(Trace(Trajectory(np.zeros((3, 1)), np.zeros((2, 1)), 0.1), 0.0), axes())
 
 
 def inside(plot, key="k", label="a curve"):
@@ -117,7 +121,7 @@ def inline(report):
     trace = report.matrix.cell("known_c", "known").traces[0]
     return {
         "curve": inside(lambda ax: plot_horizon_curve(report.prediction, ax), "curve"),
-        "free run": inside(lambda ax: plot_free_run(report.prediction, 0, ax=ax), "free"),
+        "free run": inside(lambda ax: plot_free_run(report.prediction, 0, ax, models=["known"]), "free"),
         "fitness": inside(lambda ax: plot_fitness(report.matrix.champions[0], ax), "fitness"),
         "trace": inside(lambda ax: plot_trace(trace, ax), "trace"),
         "claims": inside(lambda ax: plot_claimed_measured(claiming(report), ax, label="measured"), "claims"),
