@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evaluation.formatting import percent
 from evaluation.prediction.regions import LEVELS, Region
 from evaluation.steps import Steps
 from sysid_evo.data import Trajectory
@@ -36,11 +35,6 @@ class UncoveredBox:
     low: Array
     high: Array
     share: float
-
-    @property
-    def sentence(self) -> str:
-        """The region in words, with its share of the driven steps."""
-        return f"{self.words}: {percent(self.share)} of the steps"
 
     @property
     def words(self) -> str:

@@ -15,7 +15,7 @@ from evaluation.behaviour import DrivingSummary, driving_summaries
 from evaluation.exploitability.results import ModelExploitability, outside_shares
 from evaluation.linearisation import LinearResponse, OperatingPoint, linearised
 from evaluation.prediction.scores import ConditionError, Prediction, forecast_error
-from evaluation.rounds import ROUNDS, RoundsSummary
+from evaluation.rounds import ROUNDS, RecordingRound, RoundsSummary
 from evaluation.transfer.forecast import (
     Forecast,
     ModelForecast,
@@ -97,11 +97,16 @@ class ComparisonResults(Displayed):
         if self.rounds is None or not self.rounds.whole:
             return found
         measured = dict.fromkeys(self.matrix.at_rest, (self.rounds.rest, 0.0))
-        parameters = {one.name: one.parameters for one in self.matrix.champions}
-        if (chosen := self.rounds.round_of(parameters.get(ROUNDS, np.empty(0)))) is not None:
+        if (chosen := self.chosen_round) is not None:
             measured[ROUNDS] = chosen.again, float(chosen.achieved.std(ddof=1))
         known = {name: (fitness, spread) for name, (fitness, spread) in measured.items() if fitness is not None}
         return {name: measured_forecast(one, *known[name]) if name in known else one for name, one in found.items()}
+
+    @property
+    def chosen_round(self) -> RecordingRound | None:
+        """The round whose controller was chosen among all rounds."""
+        parameters = {} if self.matrix is None else {one.name: one.parameters for one in self.matrix.champions}
+        return None if self.rounds is None else self.rounds.round_of(parameters.get(ROUNDS, np.empty(0)))
 
     @cached_property
     def model_forecasts(self) -> Mapping[str, ModelForecast]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -30,43 +28,35 @@ NEIGHBOURS, MIN_PAIR_DISTANCE = 4, 20
 MOST_PAIRS = 4000
 
 
-@dataclass(frozen=True)
-class NoiseEstimate:
-    """One-step error N, its noise ``floor``, and the share of the residual that a plain regression explains."""
-
-    n: float
-    floor: float
-    explained: float
-
-
 def noise_floor(evidence: Evidence) -> Remark | None:
     """Return a remark if little is left to gain one step ahead, or if the form of the model limits it."""
     found = estimate_noise(evidence)
     if found is None:
         return None
-    figures = {"n": found.n, "noise": found.floor, "explained": found.explained}
-    if found.explained >= MIN_FORM_SHARE:
+    n, floor, share = found
+    figures = {"n": n, "noise": floor, "explained": share}
+    if share >= MIN_FORM_SHARE:
         return Remark(
             "form",
             f"The form of {evidence.name} limits it: a plain regression on the same inputs explains "
-            f"{percent(found.explained)} of its one-step residual. Try a more flexible family, or one with more "
+            f"{percent(share)} of its one-step residual. Try a more flexible family, or one with more "
             "physics.",
-            1.0 - np.sqrt(1.0 - found.explained),
+            1.0 - np.sqrt(1.0 - share),
             figures,
         )
-    if found.n <= MAX_NOISE_RATIO * found.floor:
+    if n <= MAX_NOISE_RATIO * floor:
         return Remark(
             "noise",
-            f"The one-step error of {evidence.name}, N {found.n:.3f}, is {found.n / found.floor:.2f} times the noise, "
-            f"{found.floor:.3f}: little is left to gain with these inputs.",
+            f"The one-step error of {evidence.name}, N {n:.3f}, is {n / floor:.2f} times the noise, "
+            f"{floor:.3f}: little is left to gain with these inputs.",
             0.05,
             figures,
         )
     return None
 
 
-def estimate_noise(evidence: Evidence) -> NoiseEstimate | None:
-    """Compare the residuals of steps with nearly equal inputs; None with too few steps.
+def estimate_noise(evidence: Evidence) -> tuple[float, float, float] | None:
+    """Return N one step ahead, its noise, and the share that a regression explains; None with too few steps.
 
     Two steps from nearly the same inputs differ by their noise alone: half the mean squared difference of the
     residuals of such pairs is the variance of the noise (the model removes the change between them), as in Rice (1984)
@@ -95,9 +85,7 @@ def estimate_noise(evidence: Evidence) -> NoiseEstimate | None:
     pairs = near[np.arange(len(near)), apart.argmax(axis=1)]
     floor = np.sqrt(0.5 * np.mean((left[some] - left[some][pairs]) ** 2, axis=0))
     features = np.concatenate([with_products(now), earlier], axis=1)
-    return NoiseEstimate(
-        float(np.sqrt(np.mean(left**2, axis=0)).mean()), float(floor.mean()), explained(features, left)
-    )
+    return float(np.sqrt(np.mean(left**2, axis=0)).mean()), float(floor.mean()), explained(features, left)
 
 
 SHARE = 0.1

@@ -66,10 +66,11 @@ def driven_outside(visited: Steps, support: Support) -> Remark | None:
     share, boxes = visited.share_outside(support), suggest_recordings(support, visited, most=BOXES)
     if share is None or not boxes:
         return None
+    places = "; ".join(f"{box.words}: {percent(box.share)} of the steps" for box in boxes)
     return Remark(
         "outside the data",
         f"{percent(share)} of the controllers' steps are outside the training data, most of them at "
-        f"{'; '.join(box.sentence for box in boxes)}. Record more there, if the robot gets there.",
+        f"{places}. Record more there, if the robot gets there.",
         share,
         {"outside": share},
     )

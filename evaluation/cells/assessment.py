@@ -48,7 +48,6 @@ class Run(CellSettings):
     steps: int = STEPS
 
     def cell(self) -> Cell[Run]:
-        """Return the cell of the result."""
         champion, column = self.champion.name, self.column.label
         return Cell(
             kind="run",
@@ -122,7 +121,6 @@ class AssessExploitability(CellSettings):
     data: Cell
 
     def cell(self) -> Cell[AssessExploitability]:
-        """Return the cell of the findings on every model."""
         matrix = self.matrix
         return Cell(
             kind="exploit",
@@ -169,7 +167,6 @@ class Advise(CellSettings):
     scores: Mapping[str, Cell[ScoreFit]] = field(default_factory=dict)
 
     def cell(self) -> Cell[Advise]:
-        """Return the cell of the advice."""
         controllers = () if self.matrix is None else (*self.matrix.controllers, *self.matrix.runs)
         return Cell(
             kind="advise",
@@ -234,7 +231,6 @@ class SearchExploit(CellSettings):
             )
 
     def cell(self) -> Cell[SearchExploit]:
-        """Return the cell of the controller."""
         return Cell(
             kind="search",
             name=f"exploit-of-{self.target.label}",

@@ -70,7 +70,6 @@ class Evolve(CellSettings):
     learned: Cell[LearnTask] | None = None
 
     def cell(self) -> Cell[Evolve]:
-        """Return the cell of the controller."""
         evolution = self.evolution
         rollouts = evolution.repeats * evolution.generations * evolution.trials * 100
         return Cell(
@@ -146,7 +145,6 @@ class Choose(CellSettings):
     seed: int
 
     def cell(self) -> Cell[Choose]:
-        """Return the cell of the controller."""
         only = self.searches[0] if len(self.searches) == 1 else None
         name = f"best of {'+'.join(labels_of(self.members))}" if only is None else only.name
         return Cell(
@@ -215,7 +213,6 @@ class Polish(CellSettings):
     learned: Cell[LearnTask] | None = None
 
     def cell(self) -> Cell[Polish]:
-        """Return the cell of the controller."""
         rollouts = self.starts * self.generations * self.evolution.trials * 50
         return Cell(
             kind="polish",
@@ -282,7 +279,6 @@ class Baseline(CellSettings):
     learned: Cell[LearnTask] | None = None
 
     def cell(self) -> Cell[Baseline]:
-        """Return the cell of the controller."""
         return Cell(
             kind="baseline",
             name=self.spec.label,

@@ -78,7 +78,6 @@ class GivenData(CellSettings):
     split: HoldOut
 
     def cell(self) -> Cell[GivenData]:
-        """Return the cell of both parts."""
         name = self.dataset.system.name or "data"
         return Cell(kind=DATA, name=name, title=f"prepare {name}", settings=self, local=True)
 
@@ -102,7 +101,6 @@ class RecordedData(CellSettings):
     split: HoldOut
 
     def cell(self) -> Cell[RecordedData]:
-        """Return the cell of both parts."""
         robot, seconds = make_robot(self.robot), 60.0 * self.minutes
         if not robot.physical:
             plant = Plant(self.robot.label, self.robot.name, robot=self.robot)

@@ -46,7 +46,6 @@ class LearnTask(CellSettings):
     search_minutes: float
 
     def cell(self) -> Cell[LearnTask]:
-        """Return the cell of the learned task."""
         name = f"task-{self.task.name}"
         return Cell(kind=LEARN, name=name, title="learn the reward", settings=self, needs=(self.data,))
 

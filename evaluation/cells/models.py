@@ -43,7 +43,6 @@ class Fit(CellSettings):
     preset: str = "quick"
 
     def cell(self) -> Cell[Fit]:
-        """Return the cell of the model."""
         usual = models.parameters(self.spec.name).get("budget") or FIT_SECONDS.get(self.preset, 2.0)
         return Cell(
             kind="fit",
@@ -93,7 +92,6 @@ class Predict(CellSettings):
     model: Cell | None = None
 
     def cell(self) -> Cell[Predict]:
-        """Return the cell of the scores."""
         return Cell(
             kind="predict",
             name=f"prediction-{self.label}",
@@ -141,7 +139,6 @@ class ScoreFit(CellSettings):
     fit: Cell[Fit]
 
     def cell(self) -> Cell[ScoreFit]:
-        """Return the cell of the score."""
         name = self.fit.name
         return Cell(
             kind="score",
@@ -189,7 +186,6 @@ class StoredModelCell(CellSettings):
     path: Path
 
     def cell(self) -> Cell[StoredModelCell]:
-        """Return the cell of the model."""
         name = DIGEST.sub("", self.path.stem)
         return Cell(kind="model", name=name, title=f"read {self.path}", settings=self, local=True)
 
@@ -234,7 +230,6 @@ class LeaveConditionsOut(CellSettings):
     conditions: int
 
     def cell(self) -> Cell[LeaveConditionsOut]:
-        """Return the cell of the errors."""
         name = self.fit.name
         return Cell(
             kind="conditions",

@@ -153,7 +153,6 @@ class Round(CellSettings):
     is_last: bool = False
 
     def cell(self) -> Cell[Round]:
-        """Return the cell of the round."""
         evolution, steps = self.evolution, SEARCH_STEPS
         assert self.robot.robot is not None
         if make_robot(self.robot.robot).system.motion is not None:
@@ -422,7 +421,6 @@ class RoundData(CellSettings):
     split: HoldOut
 
     def cell(self) -> Cell[RoundData]:
-        """Return the cell of both parts."""
         label = self.last.settings.robot.label
         return Cell(kind=DATA, name=label, title=f"gather all rounds of {label}", settings=self, needs=(self.last,))
 
@@ -448,7 +446,6 @@ class ChooseRound(ControllerSettings):
     learned: Cell[LearnTask] | None = None
 
     def cell(self) -> Cell[ChooseRound]:
-        """Return the cell of the controller."""
         return Cell(
             kind="choose_round",
             name=self.label,

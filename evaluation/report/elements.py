@@ -121,9 +121,6 @@ class TableElement:
         """Whether a reader may sort the rows."""
         return not self.prose and len(self.rows) > 1
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "rows", tuple(tuple(row) for row in self.rows))
-
 
 @dataclass(frozen=True)
 class Shading:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import methodcaller
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
@@ -135,18 +135,15 @@ def controller_figures(results: StudyResults) -> tuple[ControllerFigures, ...]:
                 improvement=None if key == reference else probability_of_improvement(compared, normalised),
             )
         )
-    order = list(dict.fromkeys(figures.group for figures in found))
-    best = {id(one): one.normalised.mean if one.normalised else -1e9 for one in found}
-    return tuple(sorted(found, key=lambda one: (order.index(one.group), -best[id(one)])))
+    return _in_groups(found, lambda one: -(one.normalised.mean if one.normalised else -1e9))
 
 
 def _rows(results: StudyResults) -> Iterator[tuple[tuple[tuple[str, ...], str], list[ControllerRow]]]:
     """Yield the rows of each controller of each group, then of those that are chosen in each point."""
     groups: dict[tuple[str, ...], dict[str, list[ControllerRow]]] = {}
-    places = {point.name: point for point in results.points}
     by_point: dict[str, list[ControllerRow]] = {}
     for row in results.controllers:
-        point = places[row.point]
+        point = results.point(row.point)
         name = "one search on the robot" if row.kind == "robot" else row.controller
         groups.setdefault(point.group, {}).setdefault(name, []).append(row)
         by_point.setdefault(row.point, []).append(row)
@@ -178,25 +175,18 @@ def _reference(
         if all(criteria.get(axis, label) == label for axis, label in zip(axes, group, strict=True))
     ]
     kinds = {row.controller: row.kind for row in results.controllers}
-    wanted: Callable[[str], bool] = lambda name: kinds.get(name) == "polished"  # noqa: E731
     if CONTROLLER in criteria:
         fitting = [(group, name) for group, name in fitting if name == criteria[CONTROLLER]]
         return next(iter(fitting), None)
-    polished = [(group, name) for group, name in fitting if wanted(name)]
+    polished = [(group, name) for group, name in fitting if kinds.get(name) == "polished"]
     return next(iter(polished or [key for key in fitting if key[1] == CHOSEN]), None)
 
 
 def _by_point(
     results: StudyResults, rows: Sequence[ControllerRow], figure: Callable[[ControllerRow], float | None]
 ) -> Repeats:
-    places: dict[str, PointRow] = {point.name: point for point in results.points}
-    found = {}
-    for row in rows:
-        value = figure(row)
-        if value is not None:
-            point = places[row.point]
-            found[point.where, point.seed] = value
-    return found
+    known = [(results.point(row.point), value) for row in rows if (value := figure(row)) is not None]
+    return {(point.where, point.seed): value for point, value in known}
 
 
 def _gap(row: ControllerRow) -> float | None:
@@ -205,6 +195,8 @@ def _gap(row: ControllerRow) -> float | None:
         return None
     return row.claimed - row.achieved
 
+
+F = TypeVar("F", ControllerFigures, "PredictionFigures", "ExploitFigures")
 
 HORIZONS = (10, 20, 60)
 """Horizons in steps at which errors are shown."""
@@ -239,7 +231,8 @@ def prediction_axes(results: StudyResults) -> tuple[str, ...]:
     telling = []
     for place, axis in enumerate(axes):
         seen: dict[tuple[object, ...], set[tuple[object, ...]]] = {}
-        for point, row in _placed(results):
+        for row in results.models:
+            point = results.point(row.point)
             rest = (point.where, point.seed, row.model, *point.group[:place], *point.group[place + 1 :])
             seen.setdefault(rest, set()).add(tuple(error.n for error in row.errors))
         if any(len(values) > 1 for values in seen.values()):
@@ -265,10 +258,7 @@ def prediction_figures(results: StudyResults) -> tuple[PredictionFigures, ...]:
                 failed=sum(bool(row.reason) for row in once.values()),
             )
         )
-    order = list(dict.fromkeys(one.group for one in found))
-    return tuple(
-        sorted(found, key=lambda one: (order.index(one.group), np.inf if (n := one.n[20]) is None else n.mean))
-    )
+    return _in_groups(found, lambda one: np.inf if (n := one.n[20]) is None else n.mean)
 
 
 def exploit_figures(results: StudyResults) -> tuple[ExploitFigures, ...]:
@@ -280,20 +270,21 @@ def exploit_figures(results: StudyResults) -> tuple[ExploitFigures, ...]:
             once = {(point.where, point.seed): row for point, row in own}
             kept = _spread(once, lambda row: row.kept)
             found.append(ExploitFigures(group, model, sum(assessed), len(assessed), kept))
+    return _in_groups(found, lambda one: one.exploited / one.assessed)
+
+
+def _in_groups(found: Sequence[F], figure: Callable[[F], float]) -> tuple[F, ...]:
+    """Return rows in the order of their groups, in each by a figure, the lowest first."""
     order = list(dict.fromkeys(one.group for one in found))
-    return tuple(sorted(found, key=lambda one: (order.index(one.group), one.exploited / one.assessed)))
-
-
-def _placed(results: StudyResults) -> list[tuple[PointRow, ModelRow]]:
-    places = {point.name: point for point in results.points}
-    return [(places[row.point], row) for row in results.models]
+    return tuple(sorted(found, key=lambda one: (order.index(one.group), figure(one))))
 
 
 def _grouped(
     results: StudyResults, group: Callable[[PointRow], tuple[str, ...]]
 ) -> dict[tuple[tuple[str, ...], str], list[tuple[PointRow, ModelRow]]]:
     found: dict[tuple[tuple[str, ...], str], list[tuple[PointRow, ModelRow]]] = {}
-    for point, row in _placed(results):
+    for row in results.models:
+        point = results.point(row.point)
         found.setdefault((group(point), row.model), []).append((point, row))
     return found
 

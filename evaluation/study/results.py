@@ -29,6 +29,7 @@ from sysid_evo.version import versions
 
 ControllerKind: TypeAlias = Literal["single", "ensemble", "polished", "robot", "baseline"]
 """Origin of a controller: one model, several at once, polish on all of them, the robot itself, or a baseline."""
+IN_MODELS = ("single", "ensemble", "polished")
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ class ControllerRow:
     @property
     def in_models(self) -> bool:
         """Whether it was evolved in models, and is neither from the robot itself nor a baseline."""
-        return self.kind in ("single", "ensemble", "polished")
+        return self.kind in IN_MODELS
 
 
 @dataclass(frozen=True)
@@ -261,23 +262,25 @@ class _Gathered:
     def controllers(self) -> Iterator[ControllerRow]:
         """Yield a row for each controller that was tried, failed ones with their reason."""
         planned = self.comparison.matrix
-        matrix = None if planned is None else planned.of(self.store.outcome)
         if planned is None:
             return
         predicted = {label: self._value(cell) for label, cell in self.comparison.predictions.items()}
         errors = {label: error_of(one) for label, one in predicted.items()}
-        weighted = {label: forecast_error(one) for label, one in predicted.items()}
-        waiting = [run.settings.champion for run in planned.runs if self._state(run) == "missing"]
-        ran = {cell.name for cell in planned.controllers if not any(cell is one for one in waiting)}
-        looked = self.comparison.exploitability
-        exploits = None if looked is None else self._value(looked)
-        found = {} if matrix is None else forecasts(matrix, weighted, outside_shares(exploits or ()))
-        found = {name: forecast for name, forecast in found.items() if name in ran}
-        resting = None if matrix is None else next(iter(matrix.at_rest), None)
-        summaries = {} if matrix is None else {one.name: one for one in summarise(matrix).controllers}
-        rest_fitness = None if matrix is None or resting is None else _achieved(matrix, resting)
-        finished = all(self._state(cell) != "missing" for cell in self.comparison.plan)
-        chosen = best_choice(matrix, found) if finished and matrix is not None else None
+        summaries: dict[str, ControllerSummary] = {}
+        found: dict[str, Forecast] = {}
+        chosen, rest_fitness = None, None
+        matrix = planned.of(self.store.outcome)
+        if matrix is not None:
+            weighted = {label: forecast_error(one) for label, one in predicted.items()}
+            waiting = [run.settings.champion for run in planned.runs if self._state(run) == "missing"]
+            ran = {cell.name for cell in planned.controllers if not any(cell is one for one in waiting)}
+            exploits = self._value(self.comparison.exploitability)
+            expected = forecasts(matrix, weighted, outside_shares(exploits or ()))
+            found = {name: forecast for name, forecast in expected.items() if name in ran}
+            summaries = {one.name: one for one in summarise(matrix).controllers}
+            rest_fitness = _achieved(matrix, matrix.at_rest[0]) if matrix.at_rest else None
+            finished = all(self._state(cell) != "missing" for cell in self.comparison.plan)
+            chosen = best_choice(matrix, found) if finished else None
         for cell in planned.controllers:
             if self._state(cell) == "missing":
                 continue
@@ -292,35 +295,31 @@ class _Gathered:
         forecast: Forecast | None,
         errors: dict[str, float | None],
     ) -> ControllerRow:
-        members = labels_of(cell.settings.members)
+        members, kind, on_robot = labels_of(cell.settings.members), self._kind(cell), None
         known = [error for name in members if (error := errors.get(name)) is not None]
-        row = ControllerRow(
+        matrix, record = self.comparison.matrix, self.records[cell.digest]
+        file = f"{self.store.result_path(cell).relative_to(self.store.path).as_posix()}.json"
+        if summary is not None and matrix is not None and matrix.robot is not None:
+            on_robot = summary.elsewhere
+        return ControllerRow(
             point=self.point.name,
             controller=cell.name,
-            kind=self._kind(cell),
+            kind=kind,
             members=members,
             aggregate=self.comparison.experiment.aggregate if len(members) > 1 else "",
+            claimed=None if summary is None or summary.claimed is None else summary.claimed.value,
+            achieved_error=None if on_robot is None else on_robot.standard_error,
+            forecast=None if forecast is None else forecast.value,
+            forecast_low=None if forecast is None else forecast.low,
+            forecast_high=None if forecast is None else forecast.high,
+            within_forecast=None if forecast is None or on_robot is None else forecast.covers(on_robot),
+            worst=None if summary is None or summary.worst is None else summary.worst.value,
+            worst_on="" if summary is None else summary.worst_on,
             error=float(np.mean(known)) if known else None,
-            file=""
-            if self.records[cell.digest] is None
-            else f"{self.store.result_path(cell).relative_to(self.store.path).as_posix()}.json",
+            exploited=summary.exploited if summary is not None and kind in IN_MODELS else None,
+            file="" if record is None else file,
             reason=self._reason(cell),
         )
-        if summary is not None:
-            claimed, worst, achieved = summary.claimed, summary.worst, summary.elsewhere
-            on_robot = self.comparison.matrix is not None and self.comparison.matrix.robot is not None
-            row = replace(
-                row,
-                claimed=None if claimed is None else claimed.value,
-                achieved_error=achieved.standard_error if achieved is not None and on_robot else None,
-                worst=None if worst is None else worst.value,
-                worst_on=summary.worst_on,
-                exploited=summary.exploited if row.in_models else None,
-                within_forecast=forecast.covers(achieved) if forecast and achieved and on_robot else None,
-            )
-        if forecast is not None:
-            row = replace(row, forecast=forecast.value, forecast_low=forecast.low, forecast_high=forecast.high)
-        return row
 
     def _kind(self, cell: ControllerCell) -> ControllerKind:
         if cell.kind == "baseline":

@@ -88,8 +88,6 @@ def forecasts(
     matrix: TransferMatrix,
     errors: Mapping[str, float | None],
     outside: Mapping[str, Mapping[str, float]] | None = None,
-    *,
-    rule: ForecastRule = FORECAST_RULE,
 ) -> dict[str, Forecast]:
     """Return the forecast of every controller that ran in two models or more, by its name.
 
@@ -97,7 +95,7 @@ def forecasts(
     time outside the data of each controller in each model, by model and controller. Controllers evolved on a robot and
     people who drive have no forecast: they do not come from models.
     """
-    found = (_of_champion(champion, matrix, errors, outside or {}, rule) for champion in matrix.champions)
+    found = (_of_champion(champion, matrix, errors, outside or {}) for champion in matrix.champions)
     return {one.controller: one for one in found if one is not None}
 
 
@@ -106,7 +104,6 @@ def _of_champion(
     matrix: TransferMatrix,
     errors: Mapping[str, float | None],
     outside: Mapping[str, Mapping[str, float]],
-    rule: ForecastRule,
 ) -> Forecast | None:
     robots = {matrix.robot, *matrix.other_robots}
     cells = [matrix.cell(champion.name, model) for model in matrix.models]
@@ -121,10 +118,9 @@ def _of_champion(
     rest = [0.0 if cell.failed else cell.mean for cell in resting] or [0.0] * len(cells)
     shares = [outside.get(cell.column, {}).get(champion.name) for cell in cells]
     known = _two_left([errors.get(cell.column) for cell in cells])
-    weights = model_weights(known, own, rule=rule)
-    value, low, high = _joined(
-        means, [cell.fitness for cell in cells], weights, known, shares, np.array(rest), rule,
-    )  # fmt: skip
+    weights = model_weights(known, own)
+    fitness = [cell.fitness for cell in cells]
+    value, low, high = forecast_of(fitness, known, own, means=means, outside=shares, rest=rest)
     columns = (cell.column for cell in cells)
     share = None if all(one is None for one in shares) else _mean(shares, weights)
     return Forecast(champion.name, value, low, high, dict(zip(columns, weights.tolist(), strict=True)), share)
@@ -133,34 +129,24 @@ def _of_champion(
 def forecast_of(
     fitness: Sequence[Array] | Array,
     errors: Sequence[float | None],
-    own: Sequence[bool],
+    own: Sequence[bool] | BoolArray,
     *,
+    means: Array | None = None,
     outside: Sequence[float | None] = (),
     rest: Sequence[float] = (),
     rule: ForecastRule = FORECAST_RULE,
 ) -> tuple[float, float, float]:
     """Return value, low and high of a controller from its fitness in the trials (E,) of each model, two or more.
 
-    ``own`` marks the models of a family that it was evolved in. ``outside`` are the shares of the time outside the data
+    ``own`` marks the models of a family that it was evolved in. ``means`` (M,) are its fitness in each model as one
+    number, by default the mean over the trials. ``outside`` are the shares of the time outside the data
     and ``rest`` is the fitness of controls at rest in each model, by default 0. The interval has no width if all models
     and all trials agree, the models predict perfectly and nothing is outside the data.
     """
     weights = model_weights(errors, np.array(own), rule=rule)
-    floor = np.array(rest or [0.0] * len(errors))
-    return _joined(np.array([one.mean() for one in fitness]), fitness, weights, errors, outside, floor, rule)
-
-
-def _joined(
-    means: Array,
-    fitness: Sequence[Array] | Array,
-    weights: Array,
-    errors: Sequence[float | None],
-    outside: Sequence[float | None],
-    rest: Array,
-    rule: ForecastRule,
-) -> tuple[float, float, float]:
-    middle = float(weighted_median(means, weights))
-    gain, share = abs(middle - float(weighted_median(rest, weights))), _mean(outside, weights)
+    means = np.array([one.mean() for one in fitness]) if means is None else means
+    middle, floor = (float(weighted_median(at, weights)) for at in (means, np.array(rest or [0.0] * len(errors))))
+    gain, share = abs(middle - floor), _mean(outside, weights)
     value = middle - rule.shift * share * gain
     apart = float(weights @ np.abs(means - middle)) * float((weights**2).sum()) ** rule.apart
     trials = float(weights @ np.array([one.std() / np.sqrt(len(one)) for one in fitness]))
@@ -186,8 +172,9 @@ def model_weights(errors: Sequence[float | None], own: BoolArray, *, rule: Forec
     """
     known = [max(error, rule.least_error) for error in errors if error is not None and np.isfinite(error)]
     best = min(known, default=1.0)
-    weights = np.array([_weight(best, error, rule) for error in errors])
-    weights = np.where(own, rule.own, 1.0) * weights
+    sizes = [best if error is None else max(error, rule.least_error) for error in errors]
+    relative = [float((best / size) ** rule.power) if np.isfinite(size) else 0.0 for size in sizes]
+    weights = np.where(own, rule.own, 1.0) * np.array(relative)
     total = float(weights.sum())
     return weights / total if total > 0.0 else np.full(len(weights), 1.0 / max(1, len(weights)))
 
@@ -196,13 +183,6 @@ def _two_left(errors: Sequence[float | None]) -> list[float | None]:
     """Return ``errors``; an infinite one is 1, as of the mean of the data, unless two models with another remain."""
     left = sum(error is None or not np.isinf(error) for error in errors)
     return [1.0 if error is not None and np.isinf(error) and left < 2 else error for error in errors]
-
-
-def _weight(best: float, error: float | None, rule: ForecastRule) -> float:
-    """Return the weight of a model relative to the best, which has 1."""
-    if error is None:
-        return 1.0
-    return float((best / max(error, rule.least_error)) ** rule.power) if np.isfinite(error) else 0.0
 
 
 def weighted_median(values: Array, weights: Array) -> Array:
@@ -253,17 +233,13 @@ def _by_trial(matrix: TransferMatrix, forecast: Forecast) -> Array:
     return weighted_median(np.stack([one[:trials] for one in fitness]), weights)
 
 
-def forecast_judgement(
-    errors: Mapping[str, float | None], families: Mapping[str, str], *, rule: ForecastRule = FORECAST_RULE
-) -> FinalistScore:
+def forecast_judgement(errors: Mapping[str, float | None], families: Mapping[str, str]) -> FinalistScore:
     """Return the ranking of finalists by their forecasts, from the models' prediction errors and families."""
 
     def score(champion: Champion, models: tuple[str, ...], by_model: Array) -> Array:
         own_families = {families.get(model, model) for model in champion.against}
         own = np.array([families.get(model, model) in own_families for model in models])
-        return weighted_median(
-            by_model, model_weights(_two_left([errors.get(model) for model in models]), own, rule=rule)
-        )
+        return weighted_median(by_model, model_weights(_two_left([errors.get(model) for model in models]), own))
 
     return score
 

@@ -122,13 +122,7 @@ class TransferMatrix(Displayed):
         return self.cells[champion, column]
 
     def facts(self) -> Mapping[str, str]:
-        means = [[f"{mean:.4g} on {on}" for mean, on in zip(row, self.columns, strict=True)] for row in self.means()]
-        return {name: listed(row) for name, row in zip(self.rows, means, strict=True)}
-
-    def means(self) -> Array:
-        """Mean fitness (rows, columns), NaN for a failed cell."""
-        found = [self.cell(row, column).mean for row in self.rows for column in self.columns]
-        return np.array(found, dtype=np.float64).reshape(len(self.rows), len(self.columns))
+        return {row: listed(f"{self.cell(row, on).mean:.4g} on {on}" for on in self.columns) for row in self.rows}
 
     def failures(self) -> tuple[TransferResult, ...]:
         """Return the cells that were tried and failed, row by row."""

@@ -99,12 +99,9 @@ class RankCorrelation:
     controllers: int
 
 
-def summary_of(matrix: TransferMatrix, errors: Mapping[str, float | None] | None = None) -> TransferSummary:
-    """Return the summary of a matrix with the controller of the highest forecast as its pick, see `best_choice`.
-
-    Without the prediction ``errors`` of its models (see `error_of`) all models get the same weight.
-    """
-    found = forecasts(matrix, errors or {})
+def summary_of(matrix: TransferMatrix) -> TransferSummary:
+    """Return the summary of a matrix whose models have the same weight, with a pick by `best_choice`."""
+    found = forecasts(matrix, {})
     return chosen_by(summarise(matrix), found, best_choice(matrix, found))
 
 
@@ -215,6 +212,7 @@ class MatrixEstimates:
         claimed, others = self.on(champion, champion.against), self.others(champion)
         achieved = None if robot is None else self.on(champion, [robot])
         worst, worst_on = self.worst(champion)
+        rest = None if self._rest is None or robot is None else self.on(self._rest, [robot])
         return ControllerSummary(
             name=champion.name,
             against=champion.against,
@@ -232,7 +230,7 @@ class MatrixEstimates:
             evolved_on_robot=robot is not None and robot in champion.against,
             seed_fitness=tuple(champion.seed_fitness),
             polished=champion.polished,
-            rest_fitness=None if self._rest is None or robot is None else _value(self.on(self._rest, [robot])),
+            rest_fitness=None if rest is None else rest.value,
         )
 
     @cached_property
@@ -265,10 +263,6 @@ def other_family_models(champion: Champion, matrix: TransferMatrix) -> tuple[str
     families = {matrix.families.get(column, column) for column in champion.against}
     others = [column for column in matrix.models if matrix.families[column] not in families]
     return tuple(column for column in others if not matrix.cell(champion.name, column).failed)
-
-
-def _value(figure: Draws | None) -> float | None:
-    return None if figure is None else figure.value
 
 
 def _gap(claimed: Draws | None, achieved: Draws | None) -> Estimate | None:

@@ -345,13 +345,14 @@ def headline(report: ComparisonResults) -> Answer:
     if not models:
         return Answer(question, "Not known", ("No model has a score; the notes and failures give the reasons.",))
     best = models[0]
-    score = _score(best, horizon)
+    score = best.score(horizon)
+    assert score is not None
     if few_data := too_little(prediction, horizon):
         lowest = f"The lowest error, N {three_digits(score.n)}, is that of {best.name}."
         return Answer(question, "Not known", (few_data, lowest))
     between = " to ".join(map(three_digits, score.estimate.interval))
     size = f"{three_digits(score.n)} ({between})"
-    where = _at(prediction, horizon)
+    where = "Over whole episodes" if horizon is None else f"After {_length(horizon, prediction)}"
     good = [model.name for model in models if predicts(prediction, model, horizon)]
     if not good:
         if score.n >= USELESS:
@@ -386,16 +387,6 @@ def _tried(report: ComparisonResults) -> str:
 def scored(prediction: Prediction, horizon: int | None) -> tuple[ModelPrediction, ...]:
     """Return the models with a score at ``horizon``, lowest N first, without persistence."""
     return tuple(model for model in prediction.ranking(horizon) if model.name != PERSISTENCE)
-
-
-def _at(prediction: Prediction, horizon: int | None) -> str:
-    return "Over whole episodes" if horizon is None else f"After {_length(horizon, prediction)}"
-
-
-def _score(model: ModelPrediction, horizon: int | None) -> ErrorScore:
-    score = model.score(horizon)
-    assert score is not None
-    return score
 
 
 class ChannelErrorPart(Part):

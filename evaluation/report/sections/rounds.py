@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from evaluation.formatting import few, three_digits
 from evaluation.report.document import Number, Numbers, Part
 from evaluation.report.elements import Section, TableElement
 from evaluation.results import ComparisonResults
-from evaluation.rounds import ERROR_STEPS, ROUNDS, SHORT_EPISODE, RecordingRound
+from evaluation.rounds import ERROR_STEPS, SHORT_EPISODE, RecordingRound
 
 COLUMNS = ("round", "steps\nin all", "steps an\nepisode", "claimed", "achieved", f"error after\n{ERROR_STEPS} steps")
 
@@ -55,17 +53,17 @@ def rounds_table(report: ComparisonResults) -> TableElement | None:
         return None
     rows = [("first", str(summary.first), "–", "–", "–", "–")]
     total = summary.first
-    chosen = _chosen_round(report)
+    chosen = report.chosen_round
     for one in summary.rounds:
         total += int(one.steps.sum())
         rows.append(
             (
-                f"{one.number} (chosen)" if one.number == chosen else str(one.number),
+                f"{one.number} (chosen)" if one is chosen else str(one.number),
                 f"{total}",
                 f"{one.steps.mean():.0f}",
                 three_digits(float(one.claimed.mean())),
                 _achieved(one),
-                _errors(one),
+                "\n".join(f"{name} {three_digits(error)}" for name, error in one.errors.items()),
             )
         )
     if summary.rest is not None:
@@ -104,17 +102,6 @@ def rounds_sentence(report: ComparisonResults) -> str:
     return f"{short}{made[:1].upper()}{made[1:]} recorded, {summary.steps} steps in all; {claims}{ended}."
 
 
-def _chosen_round(report: ComparisonResults) -> int | None:
-    """Return the number of the round whose controller was chosen among all rounds."""
-    parameters = {} if report.matrix is None else {one.name: one.parameters for one in report.matrix.champions}
-    found = None if report.rounds is None else report.rounds.round_of(parameters.get(ROUNDS, np.empty(0)))
-    return None if found is None else found.number
-
-
 def _achieved(one: RecordingRound) -> str:
     found = three_digits(float(one.achieved.mean()))
     return found if one.again is None else f"{found}\nagain {three_digits(float(one.again.mean()))}"
-
-
-def _errors(one: RecordingRound) -> str:
-    return "\n".join(f"{name} {three_digits(error)}" for name, error in one.errors.items())

@@ -42,7 +42,10 @@ def transfer_sheet(matrix: TransferMatrix) -> TableElement:
         )
         for champion in matrix.champions
     ]
-    unit = matrix.unit or "fitness"
+    unit, counts = matrix.unit or "fitness", sorted({cell.trials for cell in matrix.cells.values() if cell.trials})
+    trials = f"{matrix.trials} fresh trials, the same in every cell."
+    if len(counts) > 1:  # on a robot that is driven there may be fewer
+        trials = f"{counts[0]} to {counts[-1]} fresh trials, the first ones the same in every cell."
     means = np.array([median[row] if c is None else matrix.cell(row, c).mean for row in matrix.rows for c in places])
     means = means.reshape(len(matrix.rows), len(places))
     known = means[np.isfinite(means)]
@@ -70,7 +73,7 @@ def transfer_sheet(matrix: TransferMatrix) -> TableElement:
         title=f"Transfer matrix: {unit}, mean (standard deviation over trials)",
         columns=("controller", *columns),
         rows=tuple(rows),
-        note=_trials(matrix) + "".join(sentence for sentence, needed in explained.items() if needed),
+        note=trials + "".join(sentence for sentence, needed in explained.items() if needed),
         heat=Shading(shades, own, robots if 0 < robots < len(places) else None),
         sticky=2 if robots else 1,
     )
@@ -93,14 +96,6 @@ def _fitness_cell(cell: TransferResult, own: bool) -> str:
         f"div {percent(cell.diverged_share)}" if cell.diverged_share > 0 else "",
         f"{len(cell.missing)} missing" if cell.missing else "",
     )
-
-
-def _trials(matrix: TransferMatrix) -> str:
-    """Return how many trials a cell has; on a robot that is driven there may be fewer."""
-    counts = sorted({cell.trials for cell in matrix.cells.values() if cell.trials})
-    if len(counts) > 1:
-        return f"{counts[0]} to {counts[-1]} fresh trials, the first ones the same in every cell."
-    return f"{matrix.trials} fresh trials, the same in every cell."
 
 
 def further_measures_table(matrix: TransferMatrix) -> TableElement | None:

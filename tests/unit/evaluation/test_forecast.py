@@ -23,7 +23,6 @@ from evaluation.transfer.forecast import (
 )
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.matrix import TransferResult as Cell
-from evaluation.transfer.summary import summary_of
 from sysid_evo.plan import CellContext
 from sysid_evo.testing import example_dataset
 from sysid_evo.validation.estimates import Draws, Estimate
@@ -253,9 +252,9 @@ def test_a_baseline_is_chosen_only_if_its_forecast_is_higher_than_that_of_every_
     made = matrix(rows, against={"hand": ()})
     found = forecasts(made, ERRORS)
     assert found["hand"].value > found["good"].value
-    assert summary_of(made, ERRORS).pick == "hand"
+    assert best_choice(made, found) == "hand"
     level = matrix({name: dict.fromkeys(ERRORS, 5.0) for name in ("hand", "good")}, against={"hand": ()})
-    assert summary_of(level, ERRORS).pick == "good"
+    assert best_choice(level, forecasts(level, ERRORS)) == "good"
 
 
 def test_among_those_with_all_the_fitness_there_is_the_one_inside_the_data_is_chosen():
