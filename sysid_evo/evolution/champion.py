@@ -36,12 +36,12 @@ class Finalist:
 
     def to_dict(self) -> dict[str, Any]:
         """Return all fields but the parameters, as strict JSON."""
-        return {
-            "behaviour_class": self.behaviour_class,
-            "repeat": self.repeat,
-            "fitness": self.fitness,
-            "forecast": self.forecast,
-        }
+        return {name: value for name, value in vars(self).items() if name != "parameters"}
+
+
+PLAIN = ("name", "aggregate", "seed", "estimator_delay", "noise", "penalty", "polished")
+LISTS = ("against", "seed_fitness", "scoring_models")
+"""Fields of a champion that are stored as they are, and as lists."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -115,19 +115,11 @@ class Champion(Displayed):
     def to_dict(self) -> dict[str, Any]:
         """Return all fields but the arrays (see `tensors`), as strict JSON."""
         return {
-            "name": self.name,
-            "against": list(self.against),
-            "aggregate": self.aggregate,
-            "seed": self.seed,
+            **{name: getattr(self, name) for name in PLAIN},
+            **{name: list(getattr(self, name)) for name in LISTS},
             "controller": self.controller.text,
             "task": self.task.text,
-            "estimator_delay": self.estimator_delay,
-            "noise": self.noise,
-            "penalty": self.penalty,
-            "seed_fitness": list(self.seed_fitness),
             "system": None if self.system is None else self.system.to_dict(),
-            "scoring_models": list(self.scoring_models),
-            "polished": self.polished,
             "finalists": [finalist.to_dict() for finalist in self.finalists],
         }
 
@@ -152,22 +144,15 @@ class Champion(Displayed):
         for name, rows in (("parameters", parameters[None]), ("finalists", found), ("population", population)):
             if rows.size and not np.isfinite(check_shape(name, rows, (None, parameters.size))).all():
                 raise InvalidArgument(f"{name}: expected finite numbers, some are not")
+        plain: dict[str, Any] = {name: value[name] for name in PLAIN}
+        plain |= {name: tuple(value[name]) for name in LISTS}
         return cls(
-            name=value["name"],
+            **plain,
             parameters=parameters,
-            against=tuple(value["against"]),
-            aggregate=value["aggregate"],
-            seed=value["seed"],
             history=history.reshape(-1, 3),
             controller=Spec.parse(value["controller"]),
             task=Spec.parse(value["task"]),
-            estimator_delay=value["estimator_delay"],
-            noise=value["noise"],
-            penalty=value["penalty"],
-            seed_fitness=tuple(value["seed_fitness"]),
             system=None if system is None else System.from_dict(system),
-            scoring_models=tuple(value["scoring_models"]),
-            polished=bool(value["polished"]),
             finalists=tuple(
                 Finalist(**finalist, parameters=row) for finalist, row in zip(value["finalists"], found, strict=True)
             ),
@@ -175,7 +160,7 @@ class Champion(Displayed):
         )
 
 
-def save_champion(champion: Champion, path: str | Path, *, data: str | None = None) -> Path:
+def save_champion(champion: Champion, path: str | Path) -> Path:
     """Write ``<path>.safetensors`` and ``<path>.json``; return the path of the manifest."""
     learned = champion.to_dict()
     fields = {
@@ -186,7 +171,7 @@ def save_champion(champion: Champion, path: str | Path, *, data: str | None = No
         "system": learned.pop("system"),
         "learned": learned,
         "seed": champion.seed,
-        "data": data,
+        "data": None,
     }
     return write_artefact(Path(path), champion.tensors, fields)
 

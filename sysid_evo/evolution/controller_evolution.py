@@ -134,7 +134,6 @@ class ControllerEvolution:
         import psutil
 
         spec = spec or self.strategy
-
         size, memory = 8e-9 * n_parameters, 1e-9 * psutil.virtual_memory().total
         try:
             if 2.0 * size > memory:
@@ -271,24 +270,18 @@ def disturbed_runners(runners: Mapping[str, Runner], settings: ControllerEvoluti
     if noise is None and penalty is None and delay == 0.0:
         return dict(runners)
     found: dict[str, Runner] = {}
-    for label, runner in _models(runners).items():
+    for label, runner in runners.items():
+        if not isinstance(runner, DynamicsRunner):
+            raise InvalidArgument(
+                f"evolution: {label} is not a model: noise, penalty and delay can only be added to models"
+            )
         dynamics = runner.dynamics
         if penalty is not None:
             dynamics = penalty.around(dynamics)
         if noise is not None or delay:
             dynamics = Disturbed(dynamics, noise, delay=delay)
         alone = replace(runner, dynamics=dynamics)
-        found[label] = alone if penalty is None else PenalisedRunner(alone, penalty.maximum)
-    return found
-
-
-def _models(runners: Mapping[str, Runner]) -> dict[str, DynamicsRunner]:
-    found = {label: runner for label, runner in runners.items() if isinstance(runner, DynamicsRunner)}
-    others = [label for label in runners if label not in found]
-    if others:
-        raise InvalidArgument(
-            f"evolution: {', '.join(others)} is not a model: noise, penalty and delay can only be added to models"
-        )
+        found[label] = alone if penalty is None else PenalisedRunner(alone, penalty.outside)
     return found
 
 

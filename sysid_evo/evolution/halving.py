@@ -8,8 +8,9 @@ from itertools import accumulate
 
 import numpy as np
 
-from sysid_evo.errors import InvalidArgument, did_you_mean
-from sysid_evo.registry.grammar import Spec, split_specs
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.evolution.loop import records
+from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import controllers, strategies
 from sysid_evo.types import Converted
 
@@ -27,18 +28,7 @@ class Start:
 
         Raises `InvalidArgument`.
         """
-        if not isinstance(given, str):
-            return tuple(given)
-        return tuple(cls._of(Spec.parse(text)) for text in split_specs(given)) if given else ()
-
-    @classmethod
-    def _of(cls, spec: Spec) -> Start:
-        fields = tuple(cls.__dataclass_fields__)
-        unknown = [name for name in spec.parameters if name not in fields]
-        if spec.name != "start" or unknown:
-            hint = did_you_mean(unknown[0], fields) if unknown else ""
-            raise InvalidArgument(f"starts: expected start(controller=SPEC, strategy=SPEC), got {spec}.{hint}")
-        return cls(**spec.parameters)
+        return records(cls, given, "starts", "SPEC") if given else ()
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,10 @@ Incremental evolution begins with easier forms of the task; the next stage begin
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
@@ -80,6 +81,27 @@ def _labels(models: Sequence[str] | str) -> tuple[str, ...]:
     return tuple(model.strip() for model in (models.split("+") if isinstance(models, str) else models))
 
 
+Record = TypeVar("Record")
+
+
+def records(kind: type[Record], given: Sequence[Record] | str, setting: str, value: str = "...") -> tuple[Record, ...]:
+    """Return the records of the dataclass ``kind`` that a ``setting`` lists; text is parsed: ``kind(field=value)``."""
+    if not isinstance(given, str):
+        return tuple(given)
+    name, names, found = kind.__name__.lower(), list(inspect.signature(kind).parameters), []
+    for spec in map(Spec.parse, split_specs(given)):
+        unknown = [one for one in spec.parameters if one not in names]
+        if spec.name != name or unknown:
+            expected = ", ".join(f"{one}={value}" for one in names)
+            hint = did_you_mean(unknown[0], names) if unknown else ""
+            raise InvalidArgument(f"{setting}: expected {name}({expected}), got {spec}.{hint}")
+        try:
+            found.append(kind(**spec.parameters))
+        except (TypeError, AttributeError) as error:
+            raise InvalidArgument(f"{setting}: {spec} cannot be read: {error}") from error
+    return tuple(found)
+
+
 @dataclass(frozen=True)
 class Stage:
     """An easier stage of an evolution that precedes the final task.
@@ -107,21 +129,7 @@ class Stage:
     @classmethod
     def listed(cls, given: Sequence[Stage] | str) -> tuple[Stage, ...]:
         """Return the stages; text is parsed: ``stage(task=..., until=...), stage(...)``. Raises `InvalidArgument`."""
-        if not isinstance(given, str):
-            return tuple(given)
-        return tuple(cls._of(Spec.parse(text)) for text in split_specs(given))
-
-    @classmethod
-    def _of(cls, spec: Spec) -> Stage:
-        unknown = [name for name in spec.parameters if name not in cls.__dataclass_fields__]
-        if spec.name != "stage" or unknown:
-            hints = (did_you_mean(name, cls.__dataclass_fields__) for name in unknown[:1])
-            expected = ", ".join(f"{name}=..." for name in cls.__dataclass_fields__)
-            raise InvalidArgument(f"schedule: expected stage({expected}), got {spec}.{''.join(hints)}")
-        try:
-            return cls(**spec.parameters)
-        except (TypeError, AttributeError) as error:
-            raise InvalidArgument(f"schedule: {spec} cannot be read: {error}") from error
+        return records(cls, given, "schedule")
 
     def reached(self, levels: Sequence[float]) -> bool:
         """True if the stage ends after generations with these ``levels`` (median fitness of the better half)."""

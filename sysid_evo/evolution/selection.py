@@ -85,11 +85,7 @@ def _largest_margin(near: Sequence[tuple[Finalist, Champion, Mapping[str, Runner
         return int(np.argmax(values))
 
     def by_trial(finalist: Finalist, champion: Champion, models: Mapping[str, Runner]) -> Array:
-        assert champion.system is not None
-        task = make_task(champion.task).bind(champion.system)
-        delayed = tuple(delayed_runner(label, one, champion.estimator_delay) for label, one in models.items())
-        law = make_controller(champion.controller).bind_to(task)
-        found = EnsembleObjective(delayed, law, task, 0).on_trials(finalist.parameters[None], seeds).by_trial
+        found = _scores(champion, models, finalist.parameters[None], seeds).by_trial
         assert found is not None
         return found[0]
 
@@ -111,20 +107,23 @@ def _largest_margin(near: Sequence[tuple[Finalist, Champion, Mapping[str, Runner
     return best_candidate(Scores(values, by_trial=np.stack([by_trial(*one) for one in near])), worst, margins)
 
 
+def _scores(champion: Champion, models: Mapping[str, Runner], population: Array, seeds: Seeds) -> Scores:
+    """Return the scores of ``population`` (P, n), with the controller, task and delay of ``champion``."""
+    assert champion.system is not None
+    task = make_task(champion.task).bind(champion.system)
+    law = make_controller(champion.controller).bind_to(task)
+    delayed = tuple(delayed_runner(label, one, champion.estimator_delay) for label, one in models.items())
+    return EnsembleObjective(delayed, law, task, 0).on_trials(population, seeds)
+
+
 def score_finalists(
     champion: Champion, models: Mapping[str, Runner], *, seed: int, trials: int = 100, judgement: FinalistScore = median
 ) -> Champion:
     """Return ``champion`` with the score of each finalist on ``models``; unchanged without models."""
     if not models or not champion.finalists:
         return champion
-    assert champion.system is not None
-    task = make_task(champion.task).bind(champion.system)
-    controller = make_controller(champion.controller).bind_to(task)
-    delayed = tuple(delayed_runner(label, runner, champion.estimator_delay) for label, runner in models.items())
     population = np.stack([finalist.parameters for finalist in champion.finalists])
-    by_model = (
-        EnsembleObjective(delayed, controller, task, seed).on_trials(population, selection_seeds(seed, trials)).by_model
-    )
+    by_model = _scores(champion, models, population, selection_seeds(seed, trials)).by_model
     assert by_model is not None
     scores = judgement(champion, tuple(models), by_model)
     finalists = tuple(

@@ -34,11 +34,6 @@ class UncertaintyPenalty:
         if not isinstance(value, (int, float)) or isinstance(value, bool) or not 0 <= value < np.inf:
             raise InvalidArgument(f"penalty: expected outside to be a number >= 0, got {value!r}")
 
-    @property
-    def maximum(self) -> float:
-        """The largest penalty of a trial."""
-        return self.outside
-
     def around(self, dynamics: Dynamics) -> Dynamics:
         """Return ``dynamics`` with this penalty; robots are returned unchanged.
 

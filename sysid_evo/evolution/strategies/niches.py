@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -64,11 +64,6 @@ class Island:
     def stagnated(self, patience: int) -> bool:
         """True if it has not improved for ``patience`` generations."""
         return self.age - self.peak_age >= patience
-
-    def bias(self, names: Sequence[str]) -> float:
-        """Return the share of the time its better half is above neutral in its channel, minus the share below."""
-        above, below = (self.behaviour[names.index(f"{self.channel} {side}")] for side in (ABOVE, BELOW))
-        return float(above - below)
 
     def tell(self, population: Array, fitness: Array, behaviour: Array, off: Array) -> None:
         """Report a generation: fitness (P,), behaviour (P, d), and distance ``off`` the niche (P,), 0 inside."""
@@ -223,8 +218,8 @@ class Niches(EvolutionStrategy):
         begin = 0
         for index, count in self._sizes:
             part, island = slice(begin, begin + count), self.islands[index]
-            off = self._off(island, behaviour[part])
-            island.tell(population[part], fitness[part], behaviour[part], off)
+            off = -island.side * self._bias(island, behaviour[part]) if island.side else np.zeros(count)
+            island.tell(population[part], fitness[part], behaviour[part], np.maximum(0.0, off))
             begin += count
         self.generation += 1
         if self.generation == self._initial_generations:
@@ -276,12 +271,10 @@ class Niches(EvolutionStrategy):
         not_converged = [chosen for chosen in self._chosen if not _converged(stagnated[chosen])]
         return min(not_converged or self._chosen, key=lambda i: (len(members[i]), -max(one.peak for one in members[i])))
 
-    def _off(self, island: Island, behaviour: Array) -> Array:
-        """Return the distance of candidates from the niche (P,), as a share of the time; 0 inside."""
-        if island.side == 0:
-            return np.zeros(len(behaviour))
-        above, below = (behaviour[:, self.behaviour_names.index(f"{island.channel} {side}")] for side in (ABOVE, BELOW))
-        return np.maximum(0.0, -island.side * (above - below))
+    def _bias(self, island: Island, behaviour: Array) -> Array:
+        """Return the share of the time above neutral in the island's channel, minus that below, (...), of (..., d)."""
+        above, below = (self.behaviour_names.index(f"{island.channel} {side}") for side in (ABOVE, BELOW))
+        return behaviour[..., above] - behaviour[..., below]
 
     def _island(self, number: int, channel: str, side: int, first: int | None = None) -> Island:
         strategy = make_strategy(self.spec, n_parameters=self.n_parameters, seed=derived_seed(self.seed, number))
@@ -310,7 +303,7 @@ class Niches(EvolutionStrategy):
         sides = range(len(self._sides()))
         separation: dict[str, float] = dict.fromkeys((self.islands[i].channel for i in sides), 0.0)
         for island in (self.islands[i] for i in sides if self.islands[i].side):
-            separation[island.channel] += island.side * island.bias(self.behaviour_names)
+            separation[island.channel] += island.side * float(self._bias(island, island.behaviour))
 
         def order(i: int) -> tuple[bool, float, float]:
             island = self.islands[i]

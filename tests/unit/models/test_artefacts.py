@@ -127,7 +127,7 @@ def test_every_kind_of_learned_thing_comes_back(scrapbook, car_data, tmp_path):
 
 
 def test_a_champion_comes_back_bit_for_bit(tmp_path):
-    save_champion(CHAMPION, tmp_path / "mm1-3", data="abc")
+    save_champion(CHAMPION, tmp_path / "mm1-3")
     loaded = load_champion(tmp_path / "mm1-3")
     for name in (
         "name", "against", "aggregate", "seed", "controller", "task", "estimator_delay", "noise", "penalty", "system",
