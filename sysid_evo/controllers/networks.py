@@ -15,13 +15,13 @@ from sysid_evo.controllers.program import (
     Binary,
     Program,
     Statement,
+    apply,
     constant,
     dot,
     limited,
     number,
     observation,
     remembered,
-    tanh,
 )
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import (
@@ -96,8 +96,9 @@ class RecurrentNetwork(Controller):
     def program(self, parameters: Array) -> Program:
         w_in, w_hidden, w_out = (weights[0].T for weights in self.weights(parameters[None]))
         seen, before = observation(self.n_inputs), remembered("hidden", self.hidden)
-        units = Statement("units", tanh(dot("W_IN", w_in, seen) + dot("W_HIDDEN", w_hidden, before)), "hidden units")
-        raw = Statement("raw", tanh(dot("W_OUT", w_out, units.value)), "outputs in [-1, 1]")
+        total = dot("W_IN", w_in, seen) + dot("W_HIDDEN", w_hidden, before)
+        units = Statement("units", apply("tanh", total), "hidden units")
+        raw = Statement("raw", apply("tanh", dot("W_OUT", w_out, units.value)), "outputs in [-1, 1]")
         return Program((units, raw), raw.value, {"hidden": units.value})
 
 
@@ -157,19 +158,9 @@ def sums(weights, seen, before, after, n_inputs, hidden):
         store(after, j * LANES, a)
 
 
-def rectified(values: Array) -> Array:
-    """Return ``values`` with negative ones replaced by zero."""
-    return np.maximum(values, 0.0)
+INNER: Mapping[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0.0)}
 
-
-def clipped(values: Array) -> Array:
-    """Return ``values`` clipped to [-1, 1]."""
-    return np.clip(values, -1.0, 1.0)
-
-
-INNER: Mapping[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": rectified}
-
-OUTPUT: Mapping[str, Callable[[Array], Array]] = {"clip": clipped, "tanh": np.tanh}
+OUTPUT: Mapping[str, Callable[[Array], Array]] = {"clip": lambda values: np.clip(values, -1.0, 1.0), "tanh": np.tanh}
 
 
 class Perceptron(Controller):
@@ -210,10 +201,11 @@ class Perceptron(Controller):
         for layer, (weights, bias) in enumerate(layers_of(parameters[None], self.sizes), start=1):
             term = dot(f"W_{layer}", weights[0].T, value) + constant(f"B_{layer}", bias[0, 0])
             if layer > len(self.hidden):
-                shown = tanh(term) if self.output == "tanh" else limited(term)
+                shown = apply("tanh", term) if self.output == "tanh" else limited(term)
                 statements.append(Statement("raw", shown, "outputs in [-1, 1]"))
             else:
-                shown = tanh(term) if self.inner == "tanh" else Binary(term.size, "max", term, number(0.0))
+                relu = Binary(term.size, "max", term, number(0.0))
+                shown = apply("tanh", term) if self.inner == "tanh" else relu
                 statements.append(Statement(f"hidden_{layer}", shown, f"hidden layer {layer}"))
             value = statements[-1].value
         return Program(tuple(statements), value)

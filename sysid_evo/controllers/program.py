@@ -5,8 +5,8 @@ length (a vector of one element is broadcast), except for `Dot`, a matrix times 
 of a vector::
 
     seen = variable("observation", 5)
-    hidden = Statement("hidden", tanh(Dot("W_IN", weights, seen)))
-    raw = Statement("raw", tanh(Dot("W_OUT", more, hidden.value)))
+    hidden = Statement("hidden", apply("tanh", dot("W_IN", weights, seen)))
+    raw = Statement("raw", apply("tanh", dot("W_OUT", more, hidden.value)))
 """
 
 from __future__ import annotations
@@ -263,14 +263,9 @@ def take(name: str, of: Variable, *places: int) -> Take:
     return Take(len(places), name, places, of)
 
 
-def tanh(of: Expression) -> Unary:
-    """Return the hyperbolic tangent."""
-    return Unary(of.size, "tanh", of)
-
-
-def limited(of: Expression, low: float = -1.0, high: float = 1.0) -> Expression:
-    """Return ``of`` within its limits."""
-    return Binary(of.size, "min", Binary(of.size, "max", of, number(low)), number(high))
+def limited(of: Expression) -> Expression:
+    """Return ``of`` within [-1, 1]."""
+    return Binary(of.size, "min", Binary(of.size, "max", of, number(-1.0)), number(1.0))
 
 
 def number(value: Operand) -> Expression:

@@ -71,9 +71,7 @@ class LearnedReward:
         """Return the rewards (B,) of steps, and whether each ended its episode (B,)."""
         features = (raw_features(system, before, control, after) - self.centre) / self.scale
         reached = features[:, : self.n_reached]
-        over = polynomial(self.end, reached) + tree_values(self.trees, reached) > 0.0
-        for place, sign, value in self.limits:
-            over |= sign * (reached[:, int(place)] - value) > 0.0
+        over = is_over(self.end, self.trees, self.limits, reached)
         last = polynomial(self.last, features[:, : _features_in(len(self.last))])
         if len(self.levels):
             last = np.where(last > 0.0, self.levels[1], self.levels[0])
@@ -235,6 +233,14 @@ def polynomial(coefficients: Array, features: Array) -> Array:
     square[np.triu_indices(n)] = coefficients[1 + n :]
     values: Array = coefficients[0] + features @ coefficients[1 : 1 + n] + ((features @ square) * features).sum(axis=1)
     return values
+
+
+def is_over(end: Array, trees: Array, limits: Array, reached: Array) -> BoolArray:
+    """Return whether steps that reached these features (B, r) ended their episode (B,), see `LearnedReward`."""
+    over: BoolArray = polynomial(end, reached) + tree_values(trees, reached) > 0.0
+    for place, sign, value in limits:
+        over |= sign * (reached[:, int(place)] - value) > 0.0
+    return over
 
 
 def network(inner: Array, outer: Array, features: Array) -> Array:

@@ -178,10 +178,8 @@ class PointToPoint(Task):
         fastest = f"point_to_point: at its fastest, {speed:.2g} m/s, this robot"
         found = []
         if driven < TOO_FEW * way:
-            arena, steps = (
-                (driven / SUGGESTED + self.waypoint_radius) / MEAN_DISTANCE,
-                np.ceil(SUGGESTED * way / speed / dt),
-            )
+            arena = (driven / SUGGESTED + self.waypoint_radius) / MEAN_DISTANCE
+            steps = np.ceil(SUGGESTED * way / speed / dt)
             found.append(
                 f"{fastest} drives {driven:.2g} m in a trial of {self.horizon * dt:g} s, and the mean distance between "
                 f"waypoints is {way:.2g} m: it can pass about {driven / way:.1f}. Use a smaller arena "

@@ -21,12 +21,12 @@ from sysid_evo.tasks.learned_reward import (
     LearnedReward,
     RewardQuality,
     distance_values,
+    is_over,
     n_terms,
     network,
     polynomial,
     raw_features,
     terms_of,
-    tree_values,
 )
 from sysid_evo.types import Array, BoolArray, IntArray
 
@@ -165,9 +165,8 @@ def _steps_of(dataset: Dataset, limit: int) -> tuple[_Steps, Array, Array]:
         late = np.zeros(count, dtype=bool)
         late[-1] = episode.ending == TRUNCATED and lengths[recording(episode.name)] == limit
         fold = np.full(count, number % FOLDS) if len(paid) >= EPISODES else FOLDS * np.arange(count) // count
-        features = raw_features(system, episode.states[:-1], episode.controls, episode.states[1:])
         moved = episode.states[:-1], episode.controls, episode.states[1:]
-        parts.append((*moved, features, rewards, ended, late, fold.astype(np.int64)))
+        parts.append((*moved, raw_features(system, *moved), rewards, ended, late, fold.astype(np.int64)))
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     last, count = columns[5] | columns[6], len(columns[5])
     if count > MOST_STEPS:
@@ -204,28 +203,25 @@ def _usable_forms(n: int, count: int) -> list[int]:
 def _fitted(features: Array, targets: Array, fold: IntArray) -> tuple[Array, str, float]:
     """Return coefficients, form and held-out error of a polynomial, chosen by that error."""
     n = features.shape[1]
+    coefficients = np.zeros(n_terms(n))
     if not len(targets):
-        return np.zeros(n_terms(n)), FORMS[0], np.nan
+        return coefficients, FORMS[0], np.nan
     spread = float(targets.std())
     if spread <= 1e-9 * max(1.0, float(np.abs(targets).max())):
-        coefficients = np.zeros(n_terms(n))
         coefficients[0] = targets.mean()
         return coefficients, FORMS[0], 0.0
-    found: list[tuple[float, int, float]] = []
-    forms = _usable_forms(n, len(targets))
     whole = terms_of(features)
-    for form in forms:
-        columns = _columns(form, n)
-        for ridge, error in _ridge_errors(whole[:, columns], targets, fold):
-            found.append((error, form, ridge))
+    found = [
+        (error, form, ridge)
+        for form in _usable_forms(n, len(targets))
+        for ridge, error in _ridge_errors(whole[:, _columns(form, n)], targets, fold)
+    ]
     lowest = min(error for error, *_ in found)
     error, form, ridge = next(
         one for one in sorted(found, key=lambda one: (one[1], one[0])) if one[0] <= SIMPLER * lowest
     )
     columns = _columns(form, n)
-    coefficients = np.zeros(n_terms(n))
-    chosen = whole[:, columns]
-    coefficients[columns] = _ridge(chosen, targets, ridge)
+    coefficients[columns] = _ridge(whole[:, columns], targets, ridge)
     return coefficients, FORMS[form], error / spread
 
 
@@ -387,7 +383,7 @@ def _held_out_end(form: str, steps: _Steps) -> tuple[float, str, float, float]:
         held = steps.fold == k
         if held.all() or not ended[~held].any():
             continue
-        over[held] = _is_over(*_end_of(form, steps.reached[~held], ended[~held]), steps.reached[held])
+        over[held] = is_over(*_end_of(form, steps.reached[~held], ended[~held]), steps.reached[held])
     found, wrong = float(over[ended].mean()), float(over[~ended].mean()) if (~ended).any() else 0.0
     return 1.0 - found + HORIZON * wrong, form, found, wrong
 
@@ -396,13 +392,6 @@ END_FORMS, BOOSTED = ("limits of states", "linear limit", "quadratic limit"), "b
 ROUGH_END = 0.1
 """Cost of the simple forms of an end from which trees are tried."""
 NO_TREES = np.zeros((0, TREE))
-
-
-def _is_over(score: Array, trees: Array, limits: Array, reached: Array) -> BoolArray:
-    over: BoolArray = polynomial(score, reached) + tree_values(trees, reached) > 0.0
-    for place, sign, value in limits:
-        over |= sign * (reached[:, int(place)] - value) > 0.0
-    return over
 
 
 def _end_of(form: str, reached: Array, ended: BoolArray) -> tuple[Array, Array, Array]:

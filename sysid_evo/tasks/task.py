@@ -36,28 +36,23 @@ class TaskState:
 
     def tile(self, copies: int) -> Self:
         """Return the trials repeated for each of ``copies`` candidates: candidate first, trial second."""
-        changed = {}
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if item.name not in self.shared:
-                changed[item.name] = np.tile(value, (copies,) + (1,) * (value.ndim - 1))
-        return replace(self, **changed)
+        own = self._own().items()
+        return replace(self, **{name: np.tile(value, (copies,) + (1,) * (value.ndim - 1)) for name, value in own})
 
     def only(self, trial: int) -> Self:
         """Return the state of one trial."""
-        one = slice(trial, trial + 1)
-        return replace(
-            self, **{item.name: getattr(self, item.name)[one] for item in fields(self) if item.name not in self.shared}
-        )
+        return replace(self, **{name: value[trial : trial + 1] for name, value in self._own().items()})
 
     def updated_where(self, advanced: Self, active: BoolArray) -> Self:
         """Return ``advanced`` for the trials in ``active`` (B,), and this state for all others."""
         changed = {}
-        for item in fields(self):
-            old, new = getattr(self, item.name), getattr(advanced, item.name)
-            if item.name not in self.shared:
-                changed[item.name] = np.where(active.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+        for name, old in self._own().items():
+            changed[name] = np.where(active.reshape(-1, *[1] * (old.ndim - 1)), getattr(advanced, name), old)
         return replace(advanced, **changed)
+
+    def _own(self) -> dict[str, Any]:
+        """Return the fields that are not `shared`, by name."""
+        return {item.name: getattr(self, item.name) for item in fields(self) if item.name not in self.shared}
 
 
 class Task(ABC):
