@@ -236,7 +236,6 @@ def sensors_finding(
 
 
 def _rest(dynamics: Dynamics, stop: StopRequest) -> SelfTestFinding:
-    """Return the behaviour of the equations without a command."""
     path = constant_control_response(dynamics, dynamics.system.neutral_control, stop)
     finite = bool(np.isfinite(path).all())
     moved = f"covers {_ranges(dynamics.system, path)}" if np.ptp(path, axis=0).any() else "does not move"
@@ -274,7 +273,6 @@ def full_controls(system: System) -> Array:
 
 
 def _effect(dynamics: Dynamics, channel: Channel, end: float, path: Array) -> str:
-    """Return the effect of a control at one ``end``."""
     at = f"at {end:g} {channel.unit}".rstrip()
     if not np.isfinite(path).all():
         return f"{at}: it {_lost(dynamics.system, path)}"
@@ -303,7 +301,6 @@ def _duration(dynamics: Dynamics) -> float:
 
 
 def _ranges(system: System, path: Array) -> str:
-    """Return the range of each state."""
     parts = []
     for channel, values in zip(system.states, path.T, strict=True):
         low, high = float(values.min()), float(values.max())
@@ -312,7 +309,6 @@ def _ranges(system: System, path: Array) -> str:
 
 
 def _clipped(dynamics: Dynamics, path: Array) -> str:
-    """Return the states that are held at a limit."""
     if dynamics.state_bounds is None:
         return ""
     rest = dynamics.system.neutral_state
@@ -336,7 +332,6 @@ def _lost(system: System, path: Array) -> str:
 
 
 def _speed(dynamics: Dynamics, stop: StopRequest) -> SelfTestFinding:
-    """Return the speed of rollouts."""
     system = dynamics.system
     carry = started(dynamics, np.tile(system.neutral_state, (BATCH, 1)))
     control, noise = np.tile(system.neutral_control, (BATCH, 1)), np.zeros((BATCH, dynamics.n_noise))

@@ -184,12 +184,19 @@ def _pipeline(estimator: Pipeline, sizes: Sizes) -> CompiledForm | None:
 
 def _scaled(form: CompiledForm, scaler: Any, sizes: Sizes) -> CompiledForm:
     """Return ``form`` behind ``scaler``."""
-    n_carry, (low, high) = sizes[0], scaler.feature_range if getattr(scaler, "clip", False) else (-np.inf, np.inf)
+    limits = scaler.feature_range if getattr(scaler, "clip", False) else (-np.inf, np.inf)
+    return form._replace(predictor=of_scaled(form.predictor, sizes[0], *_scaling(scaler, sum(sizes)), limits))
+
+
+def of_scaled(
+    inner: Predictor, n_carry: int, factors: Array, offsets: Array, limits: tuple[float, float] = (-np.inf, np.inf)
+) -> Predictor:
+    """Return ``inner`` with the inputs factor (x - offset), those of the carry first, clipped to ``limits``."""
     rows = [
-        SeenRow("", place - n_carry if place >= n_carry else place, factor, offset, low, high)
-        for place, (factor, offset) in enumerate(zip(*_scaling(scaler, sum(sizes)), strict=True))
+        SeenRow("", place - n_carry * (place >= n_carry), factor, offset, *limits)
+        for place, (factor, offset) in enumerate(zip(factors, offsets, strict=True))
     ]
-    return form._replace(predictor=of_functions(form.predictor, rows[:n_carry], rows[n_carry:]))
+    return of_functions(inner, rows[:n_carry], rows[n_carry:])
 
 
 def _of_features(rest: list[Any], last: Any, sizes: Sizes) -> CompiledForm | None:

@@ -207,7 +207,7 @@ def written(estimator: Any) -> tuple[Format, bytes]:
     if name == "LGBMRegressor":
         return "lightgbm", json.dumps([one.booster_.model_to_string() for one in inner]).encode()
     if BOOSTERS.get(name) == "xgboost":
-        return "xgboost", json.dumps([_xgboost_text(one.get_booster()) for one in inner]).encode()
+        return "xgboost", json.dumps([xgboost_text(one.get_booster()) for one in inner]).encode()
     try:
         data = _without_addresses(import_module(SKOPS).dumps(estimator))
         refused = _refused(data)
@@ -225,7 +225,7 @@ def written(estimator: Any) -> tuple[Format, bytes]:
     return "skops", data
 
 
-def _xgboost_text(booster: Any) -> str:
+def xgboost_text(booster: Any) -> str:
     """Return the trees of ``booster`` that predict: with early stopping those up to the best iteration."""
     if "best_iteration" in booster.attributes():
         booster = booster[: booster.best_iteration + 1]

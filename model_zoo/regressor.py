@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from model_zoo.compiled_forms import CompiledForm, compiled_form
+from model_zoo.compiled_forms import CompiledForm, compiled_form, of_scaled
 from model_zoo.estimators import Boosters, estimator_class, fitted_estimator, make_estimator, predicted, read, written
 from model_zoo.features import Features, between_limits, integrals, next_state, next_state_predictor
 from model_zoo.scaling import deviation
@@ -20,7 +20,6 @@ from sysid_evo.errors import InvalidArgument, ShapeError, UnknownName
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models.kernels import Predictor, with_angles
 from sysid_evo.models.kernels.outputs import scaled_outputs
-from sysid_evo.models.kernels.shells import SeenRow, of_functions
 from sysid_evo.models.kernels.stepping import StepNoise
 from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.stochastic import StochasticModel
@@ -244,11 +243,8 @@ class Regressor(StochasticModel):
         inner = self._compiled_form.predictor
         if not self.fitted:
             n_carry = Features(self.system, self.lags).n_carry
-            rows = [
-                SeenRow("", place - n_carry * (place >= n_carry), 1.0 / scale, centre, -np.inf, np.inf)
-                for place, (scale, centre) in enumerate(zip(self.input_scale_, self.input_centre_, strict=True))
-            ]
-            inner = inner if self.single_ else of_functions(inner, rows[:n_carry], rows[n_carry:])
+            if not self.single_:
+                inner = of_scaled(inner, n_carry, 1.0 / self.input_scale_, self.input_centre_)
             inner = with_angles(inner, self.system, self.lags)
             inner = scaled_outputs(inner, self.output_scale_, self.output_centre_)
         return next_state_predictor(self.added_, inner)

@@ -22,6 +22,7 @@ from sklearn.ensemble import (
 )
 from sklearn.tree import DecisionTreeRegressor, ExtraTreeRegressor
 
+from model_zoo.estimators import xgboost_text
 from sysid_evo.models.kernels.trees import Tree
 from sysid_evo.types import Array
 
@@ -119,9 +120,7 @@ IDENTITY_XGBOOST = ("reg:squarederror", "reg:absoluteerror", "reg:pseudohubererr
 
 def _xgboost(estimator: Any) -> Ensemble | None:
     booster = estimator.get_booster() if hasattr(estimator, "get_booster") else estimator
-    if "best_iteration" in booster.attributes():
-        booster = booster[: booster.best_iteration + 1]
-    learner = json.loads(bytes(booster.save_raw("json")))["learner"]
+    learner = json.loads(xgboost_text(booster))["learner"]
     if learner["objective"]["name"] not in IDENTITY_XGBOOST or learner["gradient_booster"]["name"] != "gbtree":
         return None
     model, settings = learner["gradient_booster"]["model"], learner["learner_model_param"]

@@ -177,7 +177,6 @@ def _joints(what: str, model: Any, start: Array) -> tuple[list[Channel], Joint |
 
 
 def _actuators(what: str, model: Any) -> list[Channel]:
-    """Return the controls."""
     if not model.nu:
         raise IncompatibleSystem(f"{what}: the model has no actuator, so that nothing can be controlled")
     found = []

@@ -141,6 +141,5 @@ class QuadrotorSession(SimulatorSession):
 
 
 def _parameters(vehicle: str) -> Mapping[str, Any]:
-    """Return the parameters of rotorpy for a vehicle."""
     parameters: Mapping[str, Any] = import_module(f"rotorpy.vehicles.{vehicle}_params").quad_params
     return parameters

@@ -74,7 +74,7 @@ class GreyBoxEquation:
     @cached_property
     def box(self) -> ParameterBounds:
         """The bounds of all parameters."""
-        return ParameterBounds.of(self.parameters)
+        return ParameterBounds(self.parameters)
 
     @cached_property
     def extended(self) -> System:

@@ -317,6 +317,6 @@ def covariance_of(problem: LeastSquares, best: LeastSquaresFit) -> ParameterCova
 
 def prior_variances(parameters: Sequence[Parameter], places: Array) -> Array:
     """Return the variance (n,) of each parameter in the cube without data: of its prior, or of its bounds alone."""
-    slopes = ParameterBounds.of(parameters).slopes(places)
+    slopes = ParameterBounds(parameters).slopes(places)
     spreads = np.array([math.inf if p.spread is None else p.spread for p in parameters]) / slopes
     return np.minimum(spreads**2, 1.0 / 12.0)

@@ -243,8 +243,7 @@ class GreyBox(DynamicsModel):
         known = prior_variances(parameters, best.places)
         found = covariance_of(problem, best)
         slopes = box.slopes(best.places)
-        self.undetermined_, determined = undetermined_parameters(parameters, best.places, found.covariance, known)
-        self.determined_ = [bool(one) for one in determined]
+        self.undetermined_, self.determined_ = undetermined_parameters(parameters, best.places, found.covariance, known)
         self.covariance_ = found.covariance * np.outer(slopes, slopes)
         self.standard_errors_ = np.sqrt(np.diag(self.covariance_))
         if structure.hidden:
@@ -280,9 +279,8 @@ class GreyBox(DynamicsModel):
         physics = self.variant(residual=False)
         carry, control = physics.start(windows.past_states, windows.past_controls), windows.controls[:, 0]
         after = physics.step(carry, control)[:, : self.system.nx]
-        return inputs_of(self.integrated)(carry, control), self.system.difference(
-            windows.states[:, 0], after
-        ) / self.system.dt
+        off = self.system.difference(windows.states[:, 0], after)
+        return inputs_of(self.integrated)(carry, control), off / self.system.dt
 
     @property
     def _residual(self) -> ResidualNetwork | None:

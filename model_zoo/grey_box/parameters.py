@@ -75,18 +75,18 @@ class HiddenState:
 
 @dataclass(frozen=True)
 class ParameterBounds:
-    """The bounds of n parameters as the unit cube in which they are searched: (..., n) to (..., n)."""
+    """The bounds of n parameters as the unit cube in which they are searched: (..., n) to (..., n).
 
-    parameters: tuple[Parameter, ...]
+    Raises `InvalidArgument` if two have the same name.
+    """
 
-    @classmethod
-    def of(cls, parameters: Sequence[Parameter]) -> ParameterBounds:
-        """Return the cube of these; raise `InvalidArgument` if two have the same name."""
-        names = [parameter.name for parameter in parameters]
+    parameters: Sequence[Parameter]
+
+    def __post_init__(self) -> None:
+        names = [parameter.name for parameter in self.parameters]
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
             raise InvalidArgument(f"parameters: names must differ, repeated: {', '.join(repeated)}")
-        return cls(tuple(parameters))
 
     @property
     def _ends(self) -> tuple[Array, Array, Array]:
@@ -182,7 +182,7 @@ def undetermined_parameters(
     prior = np.sqrt(known)
     relative = covariance / np.outer(prior, prior)
     values, vectors = np.linalg.eigh(relative)
-    slopes = ParameterBounds.of(parameters).slopes(places) * prior
+    slopes = ParameterBounds(parameters).slopes(places) * prior
     notes: list[str] = []
     alone: set[int] = set()
     for value, vector in sorted(zip(values, vectors.T, strict=True), key=lambda pair: -pair[0]):

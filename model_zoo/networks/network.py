@@ -40,11 +40,6 @@ class Network:
             for m in range(len(self.weights[0]))
         ]
 
-    @property
-    def n_parameters(self) -> int:
-        """Number of weights and biases of all members."""
-        return sum(array.size for array in (*self.weights, *self.biases))
-
     def folded(self, centre: Array, scale: Array, output_scale: Array) -> Network:
         """Return the equivalent networks of raw inputs and outputs.
 

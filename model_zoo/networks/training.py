@@ -354,8 +354,8 @@ class ResumableTrainings:
         self.rng, self.checkpoint, self.identity = rng, checkpoint, identity
         self._report = report
         self._begun = 0
-        self._state: dict[str, Any] = {"ended": 0}
-        self._saved = True
+        self._ended: dict[str, Any] = {"ended": 0}
+        self._now: dict[str, Any] = {}
         found = None if checkpoint is None else checkpoint.load(identity)
         self._found: CheckpointState = {"ended": 0} if found is None else found
 
@@ -372,7 +372,7 @@ class ResumableTrainings:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if error is not None:
+        if error is not None and self._now:
             self._save()
 
     def report(self, updates: int) -> None:
@@ -387,7 +387,7 @@ class ResumableTrainings:
         if number >= int(found["ended"]):
             return None
         own = {name: value for name, value in found.items() if name.startswith(f"{number}/")}
-        self._state |= {**own, "ended": number + 1}
+        self._ended |= {**own, "ended": number + 1}
         _set(self.rng, str(own[f"{number}/rng"]))
         return np.asarray(own[f"{number}/parameters"], dtype=np.float32)
 
@@ -410,10 +410,8 @@ class ResumableTrainings:
         """Store the state after this many updates; save it if it is time."""
         if self.checkpoint is None:
             return
-        now: dict[str, Any] = {f"now/{name}": value for name, value in state.copies().items()}
-        ended = {name: value for name, value in self._state.items() if _of_ended(name)}
-        self._state = {**ended, **now, "updates": updates, "rng": _text(self.rng)}
-        self._saved = False
+        self._now = {f"now/{name}": value for name, value in state.copies().items()}
+        self._now |= {"updates": updates, "rng": _text(self.rng)}
         if self.checkpoint.due():
             self._save()
 
@@ -421,24 +419,17 @@ class ResumableTrainings:
         """Store the parameters of the finished training."""
         if self.checkpoint is None:
             return
-        number = self._begun - 1
-        ended = {name: value for name, value in self._state.items() if _of_ended(name)}
+        number, self._now = self._begun - 1, {}
         own = {f"{number}/parameters": parameters.astype(np.float64), f"{number}/rng": _text(self.rng)}
-        self._state = {**ended, **own, "ended": number + 1}
-        self._save(always=True)
+        self._ended |= {**own, "ended": number + 1}
+        self._save()
 
-    def _save(self, *, always: bool = False) -> None:
-        if self.checkpoint is not None and (always or not self._saved):
-            self.checkpoint.save(self.identity, self._state)
-            self._saved = True
-
-
-def _of_ended(name: str) -> bool:
-    return name == "ended" or name.partition("/")[0].isdigit()
+    def _save(self) -> None:
+        if self.checkpoint is not None:
+            self.checkpoint.save(self.identity, {**self._ended, **self._now})
 
 
 def _text(rng: np.random.Generator) -> str:
-    """Return the state of a generator."""
     return json.dumps(rng.bit_generator.state, default=lambda array: array.tolist())
 
 

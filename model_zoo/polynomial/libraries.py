@@ -201,7 +201,8 @@ def basis_of_terms(terms: Sequence[Term], features: Features) -> Basis:
 
 
 EXAMPLE = "expected NAME(parameter=value, ...), or several joined by + and *, such as 'polynomial(degree=2) + fourier'"
-KINDS: Mapping[str, type[Polynomial] | type[Fourier] | type[Custom]] = {
+Kind: TypeAlias = type[Polynomial] | type[Fourier] | type[Custom]
+KINDS: Mapping[str, Kind] = {
     "polynomial": Polynomial,
     "fourier": Fourier,
     "custom": Custom,
@@ -212,7 +213,6 @@ REFUSED: Mapping[str, str] = {
     "parameterized": "write the product of two libraries with inputs=[...] instead",
     "generalized": "write sums and products of libraries with inputs=[...] instead",
 }
-Kind: TypeAlias = "type[Polynomial] | type[Fourier] | type[Custom]"
 
 
 @lru_cache(maxsize=256)

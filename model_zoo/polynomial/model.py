@@ -152,16 +152,9 @@ class PolynomialModel(StochasticModel):
 
     def _of_rows(self) -> Predictor:
         """Return the compiled form for features that are functions of (carry, control), or have offsets subtracted."""
-        rows, held = self.features.rows, self.layout.size
-        found = [
-            SeenRow(row.function, row.place if row.place < held else row.place - held, *row[2:], low, high)
-            for row, low, high in zip(rows, self.low_, self.high_, strict=True)
-        ]
-        of_carry = [i for i, row in enumerate(rows) if row.place < held]
-        of_control = [i for i, row in enumerate(rows) if row.place >= held]
-        exponents = self.exponents_[:, [*of_carry, *of_control]]
-        sums = polynomial_predictor(exponents, self.coefficients_, len(of_carry), len(of_control))
-        return of_functions(sums, [found[i] for i in of_carry], [found[i] for i in of_control])
+        ranges = zip(self.features.rows, self.low_, self.high_, strict=True)
+        rows = [SeenRow(*row, low, high) for row, low, high in ranges]
+        return predictor_of_rows(rows, self.layout.size, self.exponents_, self.coefficients_)
 
     @cached_property
     def stability(self) -> Stability:
@@ -228,6 +221,15 @@ def evaluate(inputs: Array, exponents: IntArray) -> Array:
     for power in range(1, degree):
         terms *= rows[np.sum(used <= power, axis=1)]  # after its last factor a term is multiplied by 1
     return terms.T
+
+
+def predictor_of_rows(rows: Sequence[SeenRow], held: int, exponents: IntArray, coefficients: Array) -> Predictor:
+    """Return the compiled polynomial of ``rows``, functions of (carry, control); the carry has ``held`` elements."""
+    of_carry = [i for i, row in enumerate(rows) if row.place < held]
+    of_control = [i for i, row in enumerate(rows) if row.place >= held]
+    sums = polynomial_predictor(exponents[:, [*of_carry, *of_control]], coefficients, len(of_carry), len(of_control))
+    controls = [rows[i]._replace(place=rows[i].place - held) for i in of_control]
+    return of_functions(sums, [rows[i] for i in of_carry], controls)
 
 
 def term_name(exponents: IntArray, names: Sequence[str]) -> str:

@@ -14,13 +14,13 @@ import numpy as np
 
 from model_zoo.features import FUNCTIONS, ChannelFunction, Features
 from model_zoo.polynomial.libraries import Basis, Fourier, InputSelection, Polynomial, Term, basis_of_terms
-from model_zoo.polynomial.model import MAX_EXPONENT, equation, evaluate
+from model_zoo.polynomial.model import MAX_EXPONENT, equation, evaluate, predictor_of_rows
 from model_zoo.polynomial.optimizers import seeded
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.models.dynamics import rk4
 from sysid_evo.models.kernels import Predictor, polynomial_predictor, runge_kutta_predictor
-from sysid_evo.models.kernels.shells import SeenRow, of_functions
+from sysid_evo.models.kernels.shells import SeenRow
 from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import Limit, at_least
 from sysid_evo.progress import Progress
@@ -136,7 +136,6 @@ class PySindy(DynamicsModel):
         ]
 
     def _left_sides(self) -> list[tuple[str, str]]:
-        """Return the left side of each equation and its unit."""
         if self.discrete_:
             return [(f"{state.name}[+1]", state.unit) for state in self.system.states]
         return [(f"rate of {state.name}", f"{state.unit or '1'}/s") for state in self.system.states]
@@ -170,14 +169,12 @@ class PySindy(DynamicsModel):
         if self._basis is None:
             return None
         nx, features = self.system.nx, plain_features(self.system, self._basis.functions)
-        rows = [SeenRow(*row, -np.inf, np.inf) for row in features.rows]
-        of_control = [i for i, row in enumerate(rows) if row.place >= nx]
-        of_carry = [i for i, row in enumerate(rows) if row.place < nx]
-        exponents = self._basis.exponents[:, [*of_carry, *of_control]]
-        sums = polynomial_predictor(exponents, self.coefficients_, len(of_carry), len(of_control))
+        exponents, coefficients = self._basis.exponents, self.coefficients_
         if features.functions:
-            held = [rows[i]._replace(place=rows[i].place - nx) for i in of_control]
-            sums = of_functions(sums, [rows[i] for i in of_carry], held)
+            rows = [SeenRow(*row, -np.inf, np.inf) for row in features.rows]
+            sums = predictor_of_rows(rows, nx, exponents, coefficients)
+        else:
+            sums = polynomial_predictor(exponents, coefficients, nx, self.system.nu)
         if self.discrete_:
             return sums
         return runge_kutta_predictor(sums, self.system, substeps=self.substeps, n_carry=nx)

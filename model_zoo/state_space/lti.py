@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from model_zoo.scaling import deviation, positive
-from model_zoo.state_space.model import SETTLING, StateSpaceModel
+from model_zoo.state_space.model import StateSpaceModel
 from sysid_evo import Dataset, register_model
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.models.parameters import Limit
@@ -119,13 +119,8 @@ class LtiSystem(StateSpaceModel):
         return self
 
     def _set_gain(self, gain: Array, history: int) -> None:
-        """Store the observer, and the hidden states after a long time at rest."""
         self.gain_, self.n_lags_ = gain, history
-        neutral, idle = self.system.neutral_state[None], self.system.neutral_control[None]
-        hidden = neutral @ self.first_[:, :-1].T + self.first_[:, -1]
-        for _ in range(SETTLING):
-            hidden = self._observed(neutral, hidden, idle)
-        self.rest_ = np.asarray(hidden[0])
+        self.set_rest()
 
     @property
     def fit_note(self) -> str:

@@ -340,14 +340,7 @@ def networks(
     linear: StateSpaceBatch, mixtures: list[Mixture], hidden: int, rng: np.random.Generator
 ) -> StateSpaceBatch:
     """Return one space for each mixture that steps like the ``linear`` one, with units of zero weight."""
-    count = len(mixtures)
-    several = replace(
-        linear,
-        outer=linear.outer.repeat(count, axis=0),
-        inner=linear.inner.repeat(count, axis=0),
-        kinds=linear.kinds.repeat(count, axis=0),
-    )
-    return widened(several, mixtures, hidden, rng)
+    return widened(linear[[0] * len(mixtures)], mixtures, hidden, rng)
 
 
 def widened(
