@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -160,9 +159,9 @@ class GaussianProcess(StochasticModel):
                 )
                 for rows in subsets
             ]
-            self.amplitude_[channel] = _geometric_mean([one.amplitude for one in found]) * size[channel]
-            self.lengths_[channel] = _geometric_mean([one.lengths for one in found]) * scale
-            self.noise_[channel] = _geometric_mean([one.noise for one in found]) * size[channel]
+            amplitude, lengths, noise = map(_geometric_mean, zip(*found, strict=True))
+            self.amplitude_[channel], self.noise_[channel] = amplitude * size[channel], noise * size[channel]
+            self.lengths_[channel] = lengths * scale
             counter.advance()
         self.points_ = inputs[inducing_rows(inputs, self.lengths_, count, rng)]
         self._condition(dataset)
@@ -238,15 +237,6 @@ AMPLITUDE, LENGTH, NOISE = (1.0, 1e-2, 1e2), (3.0, 0.3, 100.0), (0.1, 1e-4, 1.0)
 """Initial value and bounds of the search; squares for amplitude and noise."""
 
 
-@dataclass(frozen=True)
-class Hyperparameters:
-    """Amplitude, lengths (n,) and noise of a process, in units of targets and inputs."""
-
-    amplitude: float
-    lengths: Array
-    noise: float
-
-
 def squared_exponential(left: Array, right: Array) -> Array:
     """Return exp(-|a - b|^2 / 2) for rows a of ``left`` (A, n) and b of ``right`` (B, n), (A, B)."""
     found = left @ right.T
@@ -291,8 +281,11 @@ def negative_log_likelihood(logarithms: Array, inputs: Array, targets: Array) ->
     return float(value), np.concatenate([[0.5 * apart.sum()], moments, [by_noise]])
 
 
-def maximise_likelihood(inputs: Array, targets: Array, *, report: Callable[[], None]) -> Hyperparameters:
-    """Return the maximum of the marginal likelihood within the bounds; ``report`` is called before every evaluation."""
+def maximise_likelihood(inputs: Array, targets: Array, *, report: Callable[[], None]) -> tuple[float, Array, float]:
+    """Return amplitude, lengths (n,) and noise, in units of targets and inputs, of the largest marginal likelihood.
+
+    They are within the bounds; ``report`` is called before every evaluation.
+    """
 
     def objective(logarithms: Array) -> tuple[float, Array]:
         report()
@@ -300,7 +293,7 @@ def maximise_likelihood(inputs: Array, targets: Array, *, report: Callable[[], N
 
     start, low, high = np.log([AMPLITUDE, *[LENGTH] * inputs.shape[1], NOISE]).T
     found = np.exp(minimize(objective, start, method="L-BFGS-B", jac=True, bounds=Bounds(low, high)).x)
-    return Hyperparameters(float(np.sqrt(found[0])), found[1:-1], float(np.sqrt(found[-1])))
+    return float(np.sqrt(found[0])), found[1:-1], float(np.sqrt(found[-1]))
 
 
 def cholesky_with_jitter(matrix: Array) -> Array:

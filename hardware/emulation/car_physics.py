@@ -145,40 +145,25 @@ def coefficients(parameters: CarParameters) -> Coefficients:
     p = parameters
     noise_keep = math.exp(-FINE_DT / p.noise_lag)
     fresh = math.sqrt(1.0 - noise_keep**2)
-    return Coefficients(
-        inverse_mass=1.0 / p.mass,
-        inverse_inertia=1.0 / p.yaw_inertia,
-        front_axle=p.front_axle,
-        rear_axle=p.rear_axle,
-        thrust_forward=p.thrust_forward,
-        thrust_backward=p.thrust_backward,
-        back_emf=p.back_emf,
-        coasting_drag=p.coasting_drag,
-        rolling_drag=p.rolling_drag,
-        rolling_loss=p.rolling_resistance * FINE_DT,
-        static_loss=p.static_friction * FINE_DT,
-        motor_rate=-math.expm1(-FINE_DT / p.motor_lag),
-        sag=p.sag,
-        sag_rate=-math.expm1(-FINE_DT / p.sag_lag),
-        slack_rate=2.0 * FINE_DT / p.slack_time,
-        steer_mean=0.5 * (p.steer_left + p.steer_right),
-        steer_difference=0.5 * (p.steer_left - p.steer_right),
-        steer_offset=p.steer_offset,
-        linkage_play=p.linkage_play,
-        steering_rate=-math.expm1(-FINE_DT / p.steering_lag),
-        front_grip=p.front_grip,
-        rear_grip=p.rear_grip,
-        thrust_grip_loss=p.thrust_grip_loss,
-        traction_share=p.thrust_grip_loss / p.thrust_forward,
-        slip_gain=p.slip_gain,
-        slip_floor=p.slip_floor,
-        noise_keep=noise_keep,
-        force_noise=p.force_noise * fresh,
-        yaw_noise=p.yaw_noise * fresh,
-        start_speed=p.start_speed,
-        start_rate=-math.expm1(-FINE_DT / p.start_lag),
-        start_level=p.start_level,
-    )
+    unchanged = {name: getattr(p, name) for name in Coefficients._fields if hasattr(p, name)}
+    made = {
+        "inverse_mass": 1.0 / p.mass,
+        "inverse_inertia": 1.0 / p.yaw_inertia,
+        "rolling_loss": p.rolling_resistance * FINE_DT,
+        "static_loss": p.static_friction * FINE_DT,
+        "motor_rate": -math.expm1(-FINE_DT / p.motor_lag),
+        "sag_rate": -math.expm1(-FINE_DT / p.sag_lag),
+        "slack_rate": 2.0 * FINE_DT / p.slack_time,
+        "steer_mean": 0.5 * (p.steer_left + p.steer_right),
+        "steer_difference": 0.5 * (p.steer_left - p.steer_right),
+        "steering_rate": -math.expm1(-FINE_DT / p.steering_lag),
+        "traction_share": p.thrust_grip_loss / p.thrust_forward,
+        "noise_keep": noise_keep,
+        "force_noise": p.force_noise * fresh,
+        "yaw_noise": p.yaw_noise * fresh,
+        "start_rate": -math.expm1(-FINE_DT / p.start_lag),
+    }
+    return Coefficients(**unchanged | made)
 
 
 Lane: TypeAlias = Any

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
-
 import numpy as np
 
 from sysid_evo.errors import InvalidArgument
@@ -12,20 +10,12 @@ from sysid_evo.models import Dynamics, PlainDynamics
 from sysid_evo.types import Array
 
 
-@runtime_checkable
-class HasHeldKernel(Protocol):
-    """A fine dynamics with its own compiled form of several steps under one control."""
-
-    def held_kernel(self, repeats: int) -> DynamicsKernel:
-        """Return the compiled form of ``repeats`` steps, whose noise follows one another."""
-        ...
-
-
 class HeldControl(PlainDynamics):
     """``fine`` sampled every ``repeats`` of its steps, with the control held in between.
 
     One step takes the noise of ``repeats`` fine ones, (B, repeats * fine.n_noise), the earliest first. In a history
-    each coarse sample is repeated as ``repeats`` equal fine ones.
+    each coarse sample is repeated as ``repeats`` equal fine ones. ``fine`` may have a method ``held_kernel(repeats)``,
+    its own compiled form of several steps.
     """
 
     def __init__(self, fine: Dynamics, repeats: int) -> None:
@@ -60,24 +50,17 @@ class HeldControl(PlainDynamics):
         return carry
 
     def kernel(self) -> DynamicsKernel | None:
-        if isinstance(self.fine, HasHeldKernel):
-            return self.fine.held_kernel(self.repeats)
+        if hasattr(self.fine, "held_kernel"):
+            own: DynamicsKernel = self.fine.held_kernel(self.repeats)
+            return own
         fine = self.fine.kernel()
         if fine is None:
             return None
-        return held_kernel(fine, self.repeats, self.fine.n_noise)
+        parameters = HEAD.pack(fine.parameters, repeats=self.repeats, n_noise=self.fine.n_noise)
+        return DynamicsKernel(KernelSource(held, {"fine": fine.source}), parameters, fine.n_scratch)
 
 
 HEAD = Layout("repeats", "n_noise")
-
-
-def held_kernel(fine: DynamicsKernel, repeats: int, n_noise: int) -> DynamicsKernel:
-    """Return the kernel that repeats ``fine``, which takes ``n_noise`` rows of noise each time."""
-    return DynamicsKernel(
-        KernelSource(held, {"fine": fine.source}),
-        HEAD.pack(fine.parameters, repeats=repeats, n_noise=n_noise),
-        fine.n_scratch,
-    )
 
 
 def held(carry, control, noise, parameters, scratch):

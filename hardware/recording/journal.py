@@ -272,22 +272,9 @@ class Journal:
     torn: int = 0
 
     @property
-    def frames(self) -> tuple[Measurement, ...]:
-        """Frames of the tracker, accepted or not."""
-        return tuple(event for event in self.events if isinstance(event, Measurement))
-
-    @property
     def commands(self) -> tuple[TimedCommand, ...]:
         """Commands with the times of both clocks."""
         return tuple(event for event in self.events if isinstance(event, TimedCommand))
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Problems, in sentences."""
-        notes = [] if self.closed else [f"{self.name}: the journal has no end, so its recorder was killed"]
-        if self.torn:
-            notes.append(f"{self.name}: {self.torn} bytes of an unfinished record at the end left out")
-        return tuple(notes)
 
 
 def read_journal(path: str | Path) -> Journal:

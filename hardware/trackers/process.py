@@ -86,11 +86,6 @@ class ProcessStream(TrackerStream):
             self.close()
             raise
 
-    @property
-    def pid(self) -> int:
-        """The process id."""
-        return self._process.pid
-
     def read(self, timeout: float) -> Measurement | None:
         record = self._record(timeout)
         if record is None:

@@ -73,11 +73,7 @@ def learned_shape(
     lengths, amplitude, noise = np.full((nx, inputs.shape[1]), np.inf), np.empty(nx), np.empty(nx)
     for j in range(nx):
         found = maximise_likelihood(inputs[rows, :counted] / scale, targets[rows, j] / size[j], report=report)
-        lengths[j, :counted], amplitude[j], noise[j] = (
-            found.lengths * scale,
-            found.amplitude * size[j],
-            found.noise * size[j],
-        )
+        amplitude[j], lengths[j, :counted], noise[j] = found[0] * size[j], found[1] * scale, found[2] * size[j]
     return ResidualNetwork(inputs[rows], lengths, np.repeat(amplitude[:, None], len(rows), axis=1)), noise
 
 

@@ -1,4 +1,4 @@
-"""A simulation that contains networks, and its gradient by backpropagation through time.
+"""A simulation that contains networks, its gradient by backpropagation through time, and its training.
 
 Inputs are standardised features; training excludes held-out blocks of time.
 """
@@ -6,13 +6,21 @@ Inputs are standardised features; training excludes held-out blocks of time.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import ClassVar
 
 import numpy as np
 
 from model_zoo.networks.network import Array32, Layers, Network, random_network
-from model_zoo.networks.training import ResumableTrainings, TrainingSchedule, TrainingWindows, train, validation_errors
+from model_zoo.networks.training import (
+    Batches,
+    ResumableTrainings,
+    TrainingSchedule,
+    TrainingState,
+    TrainingWindows,
+    schedule,
+    step_weights,
+)
 from model_zoo.scaling import ChannelScaling, Mirror
 from sysid_evo.angles import TURN
 from sysid_evo.carry import CarryLayout
@@ -231,3 +239,87 @@ class DifferentiableSimulation(ABC):
                 columns.append(gradient[..., place])
                 place += 1
         return np.stack(columns, axis=-1)
+
+
+REPORT_EVERY = 10
+"""Updates between two reports of progress."""
+
+CHUNK = 256
+"""Windows scored at once."""
+
+
+def train(
+    model: DifferentiableSimulation,
+    windows: Sequence[TrainingWindows],
+    plan: TrainingSchedule,
+    *,
+    state_scale: Array,
+    change_scale: Array,
+    trainings: ResumableTrainings,
+    validate: Callable[[Array32], Array] | None = None,
+) -> Array32:
+    """Train ``model`` on one set of ``windows`` for each member and return its averaged parameters (M, P).
+
+    ``validate`` gives the validation error (M,) of parameters; each member then keeps its best ones. ``state_scale``
+    and ``change_scale`` (nx,) are the units of errors and noise. ``trainings`` resumes a training that was interrupted
+    and returns the result of one that had finished.
+    """
+    done = trainings.ended()
+    if done is not None:
+        trainings.report(plan.total)
+        return done
+    rng, layout, batches = trainings.rng, model.layout, Batches(windows, model.layout.n_lags)
+    state = TrainingState.at(model.parameters)
+    scale, noise = state_scale.astype(np.float32), (plan.input_noise * change_scale).astype(np.float32)
+    longest = min(one.horizon for one in windows)
+    present = slice(layout.n_lags - layout.state_lags, layout.n_lags + 1)
+    first = reported = trainings.resume(state)
+    if first:
+        trainings.report(first)
+    for update in range(first, plan.total):
+        horizon, size, rate = schedule(plan, update, longest)
+        batch = batches.drawn(rng, size, horizon)
+        batch = model.augmented(batch, rng)
+        truth = batch[layout.n_lags + 1 :, ..., : layout.nx].copy()
+        if plan.input_noise:
+            measured = batch[present, ..., : layout.nx]
+            measured += noise * rng.standard_normal(measured.shape, dtype=np.float32)
+        off = (model.run(batch) - truth) / scale
+        error = (off**2).mean(axis=(2, 3))
+        off *= (2.0 / (off.shape[2] * off.shape[3]) * step_weights(error))[:, None, None, None] / scale
+        state.descend(model.gradient(off) + 2.0 * plan.weight_decay * model.parameters, rate)
+        state.average(min(plan.averaging, (update + 1) / (update + 10)))
+        last = update + 1 == plan.total
+        if validate is not None and (last or (update + 1) % plan.check_every == 0):
+            state.keep(validate(state.mean))
+        if last or update % REPORT_EVERY == 0:
+            trainings.reached(update + 1, state)
+            trainings.report(update + 1 - reported)
+            reported = update + 1
+    found = state.mean if validate is None else state.best
+    trainings.end(found)
+    return found
+
+
+def validation_errors(
+    model: DifferentiableSimulation, parameters: Array32, held: Sequence[TrainingWindows], state_scale: Array
+) -> Array:
+    """Return the simulation error (M,) of each member over its own windows: RMSE / scale, averaged over all.
+
+    Infinite if a simulation is not finite. A member with fewer windows repeats some, which do not count.
+    """
+    trained, layout, batches = model.parameters, model.layout, Batches(held, model.layout.n_lags)
+    model.as_recorded()
+    model.parameters = parameters
+    most, longest = max(len(windows) for windows in held), max(windows.horizon for windows in held)
+    square: list[Array] = [np.zeros((windows.horizon, layout.nx)) for windows in held]
+    for begin in range(0, most, CHUNK):
+        rows = np.arange(begin, min(begin + CHUNK, most))
+        batch = batches.of([rows % len(windows) for windows in held], longest)
+        with np.errstate(all="ignore"):
+            off = ((model.run(batch) - batch[layout.n_lags + 1 :, ..., : layout.nx]) / state_scale) ** 2
+        for member, windows in enumerate(held):
+            square[member] += off[: windows.horizon, member, : max(0, len(windows) - begin)].sum(axis=1)
+    model.parameters = trained
+    errors = [float(np.sqrt(sums / len(windows)).mean()) for sums, windows in zip(square, held, strict=True)]
+    return np.where(np.isfinite(errors), errors, np.inf)

@@ -1,4 +1,4 @@
-"""Training on simulations: windows, schedule, Adam, early stopping, resuming.
+"""Training on simulations: windows, schedule, Adam, resuming.
 
 Every window starts from its own measured state (multiple shooting with the measurements as nodes). The error of each
 step is weighted by its present size to the power -2.5, so that the first steps count most: they determine the later
@@ -14,12 +14,11 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import Any, Protocol, Self, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 
 from model_zoo.networks.network import Array32
-from sysid_evo.carry import CarryLayout
 from sysid_evo.data import Dataset
 from sysid_evo.errors import CheckpointWarning, InvalidData
 from sysid_evo.models import DynamicsModel
@@ -32,14 +31,8 @@ SHARPNESS = 2.5
 SINGLE_STEPS = 0.75
 """Share of single-step updates in fine-tuning."""
 
-REPORT_EVERY = 10
-"""Updates between two reports of progress."""
-
 FLOOR = 0.002
 """Squared relative error below which the weight of a step does not rise (the noise of the measurement)."""
-
-CHUNK = 256
-"""Windows scored at once."""
 
 
 @dataclass(frozen=True)
@@ -126,25 +119,6 @@ class Batches:
         return found
 
 
-class TrainableSimulation(Protocol):
-    """M models with parameters (M, P) that can be simulated, with the gradient of the simulation."""
-
-    layout: CarryLayout
-    parameters: Array32
-
-    def run(self, samples: Array32) -> Array32:
-        """Return the states (H, M, B, nx) of simulations that start from the history in a batch, under its controls."""
-
-    def gradient(self, by_states: Array32) -> Array32:
-        """Return the gradient (M, P) of a scalar, from its gradient by the states (H, M, B, nx) of the last run."""
-
-    def augmented(self, samples: Array32, rng: np.random.Generator) -> Array32:
-        """Return a batch for training, perhaps mirrored."""
-
-    def as_recorded(self) -> None:
-        """Treat the following data as recorded, not mirrored, for scoring."""
-
-
 @dataclass(frozen=True)
 class TrainingSchedule:
     """Number and size of the updates of a training.
@@ -175,87 +149,10 @@ class TrainingSchedule:
         return self.one_step_updates + self.updates
 
 
-def train(
-    model: TrainableSimulation,
-    windows: Sequence[TrainingWindows],
-    plan: TrainingSchedule,
-    *,
-    state_scale: Array,
-    change_scale: Array,
-    trainings: ResumableTrainings,
-    validate: Callable[[Array32], Array] | None = None,
-) -> Array32:
-    """Train ``model`` on one set of ``windows`` for each member and return its averaged parameters (M, P).
-
-    ``validate`` gives the validation error (M,) of parameters; each member then keeps its best ones. ``state_scale``
-    and ``change_scale`` (nx,) are the units of errors and noise. ``trainings`` resumes a training that was interrupted
-    and returns the result of one that had finished.
-    """
-    done = trainings.ended()
-    if done is not None:
-        trainings.report(plan.total)
-        return done
-    rng, layout, batches = trainings.rng, model.layout, Batches(windows, model.layout.n_lags)
-    state = TrainingState.at(model.parameters)
-    scale, noise = state_scale.astype(np.float32), (plan.input_noise * change_scale).astype(np.float32)
-    longest = min(one.horizon for one in windows)
-    present = slice(layout.n_lags - layout.state_lags, layout.n_lags + 1)
-    first = reported = trainings.resume(state)
-    if first:
-        trainings.report(first)
-    for update in range(first, plan.total):
-        horizon, size, rate = schedule(plan, update, longest)
-        batch = batches.drawn(rng, size, horizon)
-        batch = model.augmented(batch, rng)
-        truth = batch[layout.n_lags + 1 :, ..., : layout.nx].copy()
-        if plan.input_noise:
-            measured = batch[present, ..., : layout.nx]
-            measured += noise * rng.standard_normal(measured.shape, dtype=np.float32)
-        off = (model.run(batch) - truth) / scale
-        error = (off**2).mean(axis=(2, 3))
-        off *= (2.0 / (off.shape[2] * off.shape[3]) * step_weights(error))[:, None, None, None] / scale
-        state.descend(model.gradient(off) + 2.0 * plan.weight_decay * model.parameters, rate)
-        state.average(min(plan.averaging, (update + 1) / (update + 10)))
-        last = update + 1 == plan.total
-        if validate is not None and (last or (update + 1) % plan.check_every == 0):
-            state.keep(validate(state.mean))
-        if last or update % REPORT_EVERY == 0:
-            trainings.reached(update + 1, state)
-            trainings.report(update + 1 - reported)
-            reported = update + 1
-    found = state.mean if validate is None else state.best
-    trainings.end(found)
-    return found
-
-
 def step_weights(error: Array32) -> Array32:
     """Return the weights (H,) of the steps of a simulation, with sum 1, for their present square errors (H, M)."""
     weight = (error.mean(axis=1) + FLOOR) ** -SHARPNESS
     return np.asarray(weight / weight.sum())
-
-
-def validation_errors(
-    model: TrainableSimulation, parameters: Array32, held: Sequence[TrainingWindows], state_scale: Array
-) -> Array:
-    """Return the simulation error (M,) of each member over its own windows: RMSE / scale, averaged over all.
-
-    Infinite if a simulation is not finite. A member with fewer windows repeats some, which do not count.
-    """
-    trained, layout, batches = model.parameters, model.layout, Batches(held, model.layout.n_lags)
-    model.as_recorded()
-    model.parameters = parameters
-    most, longest = max(len(windows) for windows in held), max(windows.horizon for windows in held)
-    square: list[Array] = [np.zeros((windows.horizon, layout.nx)) for windows in held]
-    for begin in range(0, most, CHUNK):
-        rows = np.arange(begin, min(begin + CHUNK, most))
-        batch = batches.of([rows % len(windows) for windows in held], longest)
-        with np.errstate(all="ignore"):
-            off = ((model.run(batch) - batch[layout.n_lags + 1 :, ..., : layout.nx]) / state_scale) ** 2
-        for member, windows in enumerate(held):
-            square[member] += off[: windows.horizon, member, : max(0, len(windows) - begin)].sum(axis=1)
-    model.parameters = trained
-    errors = [float(np.sqrt(sums / len(windows)).mean()) for sums, windows in zip(square, held, strict=True)]
-    return np.where(np.isfinite(errors), errors, np.inf)
 
 
 def schedule(plan: TrainingSchedule, update: int, longest: int) -> tuple[int, int, float]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations, combinations_with_replacement
 from typing import Any, Protocol, TypeAlias
@@ -37,25 +37,19 @@ class TermLibrary(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class InputSelection:
-    """The features of a library: all, or those of the channels or features called ``names``."""
-
-    names: tuple[str, ...] = ()
-
-    def of(self, features: Features) -> list[str]:
-        """Return the names of the features. Raises `InvalidArgument` for an unknown name."""
-        system = features.system
-        periodic = [n for n, c in zip(system.state_names, system.states, strict=True) if c.period is not None]
-        owners: dict[str, set[str]] = {}
-        for name in features.names:
-            channel = re.sub(r"\[-\d+\]$", "", name)
-            owners[name] = {name, channel, *(p for p in periodic if channel in (f"sin {p}", f"cos {p}"))}
-        known = set().union(*owners.values())
-        unknown = [name for name in self.names if name not in known]
-        if unknown:
-            raise InvalidArgument(f"library: expected inputs out of {', '.join(sorted(known))}, got {unknown[0]!r}")
-        return [name for name in features.names if not self.names or owners[name] & set(self.names)]
+def selected(names: tuple[str, ...], features: Features) -> list[str]:
+    """Return all features, or those of the channels or features called ``names``. Raises `InvalidArgument`."""
+    system = features.system
+    periodic = [n for n, c in zip(system.state_names, system.states, strict=True) if c.period is not None]
+    owners: dict[str, set[str]] = {}
+    for name in features.names:
+        channel = re.sub(r"\[-\d+\]$", "", name)
+        owners[name] = {name, channel, *(p for p in periodic if channel in (f"sin {p}", f"cos {p}"))}
+    known = set().union(*owners.values())
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise InvalidArgument(f"library: expected inputs out of {', '.join(sorted(known))}, got {unknown[0]!r}")
+    return [name for name in features.names if not names or owners[name] & set(names)]
 
 
 @dataclass(frozen=True)
@@ -66,10 +60,10 @@ class Polynomial:
     include_interaction: bool = True
     interaction_only: bool = False
     include_bias: bool = True
-    inputs: InputSelection = field(default_factory=InputSelection)
+    inputs: tuple[str, ...] = ()
 
     def terms(self, features: Features) -> list[Term]:
-        seen, found = self.inputs.of(features), list[Term]([()] if self.include_bias else [])
+        seen, found = selected(self.inputs, features), list[Term]([()] if self.include_bias else [])
         for order in range(1, self.degree + 1):
             chosen = combinations if self.interaction_only else combinations_with_replacement
             if self.include_interaction:
@@ -86,10 +80,10 @@ class Fourier:
     n_frequencies: int = 1
     include_sin: bool = True
     include_cos: bool = True
-    inputs: InputSelection = field(default_factory=InputSelection)
+    inputs: tuple[str, ...] = ()
 
     def terms(self, features: Features) -> list[Term]:
-        seen, system = self.inputs.of(features), features.system
+        seen, system = selected(self.inputs, features), features.system
         periods = {name: system.periods[i] for i, name in enumerate(system.state_names) if i in system.periods}
         inputs: dict[str, float] = {}
         for name in seen:
@@ -116,11 +110,11 @@ class Custom:
 
     functions: tuple[str, ...] = ()
     include_bias: bool = False
-    inputs: InputSelection = field(default_factory=InputSelection)
+    inputs: tuple[str, ...] = ()
 
     def terms(self, features: Features) -> list[Term]:
         raw = set(features.input_names)
-        seen = [name for name in self.inputs.of(features) if name in raw]
+        seen = [name for name in selected(self.inputs, features) if name in raw]
         found: list[Term] = [()] if self.include_bias else []
         for function, factor in map(of_x, self.functions):
             found += [(ChannelFunction(function, factor, name).text,) for name in seen]
@@ -270,7 +264,7 @@ def _weak(spec: Spec) -> ParsedLibrary:
 def _made(spec: Spec, kind: Kind, fixed: Mapping[str, Any]) -> TermLibrary:
     given = dict(spec.parameters)
     if "inputs" in given:
-        given["inputs"] = InputSelection(_texts(spec, "inputs", given["inputs"]))
+        given["inputs"] = _texts(spec, "inputs", given["inputs"])
     if kind is Custom:
         functions = given.pop("functions", given.pop("library_functions", None))
         given["functions"] = _texts(spec, "functions", functions)

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from model_zoo.features import FUNCTIONS, ChannelFunction, Features
-from model_zoo.polynomial.libraries import Basis, Fourier, InputSelection, Polynomial, Term, basis_of_terms
+from model_zoo.polynomial.libraries import Basis, Fourier, Polynomial, Term, basis_of_terms
 from model_zoo.polynomial.model import MAX_EXPONENT, equation, evaluate, predictor_of_rows
 from model_zoo.polynomial.optimizers import seeded
 from sysid_evo import Dataset, DynamicsModel, register_model
@@ -208,7 +208,7 @@ def plain_features(system: System, functions: tuple[str, ...] = ()) -> Features:
 def terms_of(library: Any, features: Features, seen: int) -> list[Term] | None:
     """Return the terms of pysindy's ``library`` over the first ``seen`` features, in its order; None if unknown."""
     kind, names = type(library).__name__, features.names[:seen]
-    inputs = InputSelection(tuple(names))
+    inputs = tuple(names)
     if kind == "PolynomialLibrary":
         given: tuple[str, ...] = ("degree", "include_interaction", "interaction_only", "include_bias")
         found = Polynomial(**{name: getattr(library, name) for name in given}, inputs=inputs).terms(features)

@@ -46,8 +46,7 @@ class EstimationProblem:
     def of(cls, dataset: Dataset, horizon: int, *, flow: bool = False) -> Self:
         """Scale ``dataset`` to units of its own deviation."""
         scales = Scales.of(dataset)
-        parts = [ScaledEpisode(scales.outputs(one.states), scales.controls(one.controls)) for one in dataset.episodes]
-        return cls(scales, parts, horizon, flow)
+        return cls(scales, [scales.scaled(episode) for episode in dataset.episodes], horizon, flow)
 
     @cached_property
     def subspace(self) -> Subspace:

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from model_zoo.scaling import deviation
-from sysid_evo.data import Dataset
+from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.types import Array, IntArray
 
 
@@ -28,13 +28,10 @@ class Scales:
         controls = np.concatenate([episode.controls for episode in dataset.episodes])
         return cls(outputs.mean(axis=0), deviation(outputs), controls.mean(axis=0), deviation(controls))
 
-    def outputs(self, raw: Array) -> Array:
-        """Return outputs (..., ny) in units of their deviation."""
-        return (raw - self.output_centre) / self.output_scale
-
-    def controls(self, raw: Array) -> Array:
-        """Return controls (..., nu) in units of their deviation."""
-        return (raw - self.control_centre) / self.control_scale
+    def scaled(self, episode: Trajectory) -> ScaledEpisode:
+        """Return one episode in these units."""
+        outputs = (episode.states - self.output_centre) / self.output_scale
+        return ScaledEpisode(outputs, (episode.controls - self.control_centre) / self.control_scale)
 
 
 @dataclass(frozen=True)

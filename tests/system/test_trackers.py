@@ -67,12 +67,12 @@ def test_source_that_refuses_or_says_nothing_is_a_lost_link(monkeypatch):
 
 def test_killed_process_is_a_lost_link_and_closing_ends_one_that_hangs():
     with ScriptedTracker(count=9999).open() as stream:
-        os.kill(stream.pid, signal.SIGKILL)
+        os.kill(stream._process.pid, signal.SIGKILL)
         assert "exit code -9" in read_all(stream)[1]
     stream = ScriptedTracker(script="hang", count=3).open()
     stream.close()
     stream.close()
-    wait_until(lambda: not is_running(stream.pid), 2.0)
+    wait_until(lambda: not is_running(stream._process.pid), 2.0)
     with pytest.raises(LinkLost, match="closed"):
         stream.read(0.0)
 
@@ -82,7 +82,7 @@ def test_process_ends_with_the_one_that_opened_it_even_while_it_hangs_inside_a_l
         "import time\nfrom tests.fixtures.trackers import ScriptedTracker\n"
         "ways = {'count': 3, 'period': 0.001}, {'count': 99_999}\n"
         "streams = [ScriptedTracker(script='hang', **way).open() for way in ways]\n"
-        "print(*(stream.pid for stream in streams), flush=True)\ntime.sleep(60)"
+        "print(*(stream._process.pid for stream in streams), flush=True)\ntime.sleep(60)"
     )
     opener = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     pids = [int(pid) for pid in opener.stdout.readline().split()]

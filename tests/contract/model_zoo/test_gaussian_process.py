@@ -17,8 +17,8 @@ def test_the_maximum_is_the_one_that_scikit_learn_finds():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # two inputs do not matter: their lengths are at the bound
         theirs = GaussianProcessRegressor(kernel).fit(inputs, targets)
-    ours = maximise_likelihood(inputs, targets, report=lambda: None)
-    logarithms = np.log([ours.amplitude**2, *ours.lengths, ours.noise**2])
+    amplitude, lengths, noise = maximise_likelihood(inputs, targets, report=lambda: None)
+    logarithms = np.log([amplitude**2, *lengths, noise**2])
     value, _ = negative_log_likelihood(logarithms, inputs, targets)
     np.testing.assert_allclose(-value, theirs.log_marginal_likelihood_value_, atol=1e-4)
     np.testing.assert_allclose(logarithms, theirs.kernel_.theta, atol=0.01)

@@ -7,7 +7,7 @@ import pytest
 
 from model_zoo.backprop27 import Backprop27
 from model_zoo.car.hybrid_ode import CarRateGradient, HybridOde
-from model_zoo.networks.backpropagation import DifferentiableSimulation
+from model_zoo.networks.backpropagation import DifferentiableSimulation, train
 from model_zoo.networks.mlp_ensemble import DifferenceNetworks, MlpEnsemble, held_together
 from model_zoo.networks.network import Layers, random_network
 from model_zoo.networks.neural_ode import OdeSimulation
@@ -19,7 +19,6 @@ from model_zoo.networks.training import (
     TrainingSchedule,
     TrainingWindows,
     step_weights,
-    train,
 )
 from model_zoo.scaling import Mirror
 from sysid_evo.carry import CarryLayout

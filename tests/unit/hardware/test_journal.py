@@ -45,6 +45,10 @@ def path(tmp_path):
     return tmp_path / "run.rcj"
 
 
+def frames_of(path):
+    return [event for event in read_journal(path).events if isinstance(event, Measurement)]
+
+
 def rewritten(path, data):
     path.write_bytes(data)
     return read_journal(path)
@@ -55,10 +59,11 @@ def test_all_events_are_read_in_the_order_they_were_recorded(path):
         pass
     recorder.close()
     journal = read_journal(path)
-    assert (journal.system, journal.closed, journal.torn, journal.notes) == (CAR, True, 0, ())
-    assert (journal.header["robot"], [frame.frame for frame in journal.frames]) == ("toy", list(range(40)))
-    assert repr(journal.frames[7]) == repr(measurement(7))
-    assert np.array_equal(journal.frames[7].pose, measurement(7).pose)
+    assert (journal.system, journal.closed, journal.torn) == (CAR, True, 0)
+    frames = frames_of(path)
+    assert (journal.header["robot"], [frame.frame for frame in frames]) == ("toy", list(range(40)))
+    assert repr(frames[7]) == repr(measurement(7))
+    assert np.array_equal(frames[7].pose, measurement(7).pose)
     assert [timed.command.tick for timed in journal.commands] == [0, 1, 2, 3]
     assert np.array_equal(journal.commands[0].command.control, [1.0, -1.0])
     status = [event for event in journal.events if isinstance(event, RobotStatus)][2]
@@ -77,9 +82,8 @@ def test_commands_carry_the_time_on_the_robots_clock(path):
 def test_unfinished_journal_is_whole_up_to_its_last_record(path):
     recorder = session(path)
     journal = read_journal(path)
-    assert len(journal.frames) == 40
+    assert len(frames_of(path)) == 40
     assert not journal.closed
-    assert "was killed" in journal.notes[0]
     recorder.close()
     assert read_journal(path).closed
 
@@ -186,7 +190,7 @@ def test_a_full_disk_is_reported_and_raises_nothing(path, monkeypatch):
     assert "disk full" in str(recorder.problem)
     recorder.on_measurement(measurement(6))
     recorder.close()
-    assert [frame.frame for frame in read_journal(path).frames] == [0, 1, 2, 3, 4, 6]
+    assert [frame.frame for frame in frames_of(path)] == [0, 1, 2, 3, 4, 6]
 
 
 def test_events_that_cannot_be_packed_are_counted_not_raised(path):
@@ -194,7 +198,7 @@ def test_events_that_cannot_be_packed_are_counted_not_raised(path):
         recorder.on_measurement(Measurement(0.0, 0.0, 2**70, "car", True, np.zeros(3)))
         recorder.on_measurement(measurement(3, body="ü" * 400))
     assert recorder.lost == 1
-    assert read_journal(path).frames[-1].body == "ü" * 127
+    assert frames_of(path)[-1].body == "ü" * 127
 
 
 def driven(path, frames, **options):
