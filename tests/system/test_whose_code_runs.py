@@ -22,6 +22,7 @@ from sysid_evo import load_plugin
 from sysid_evo.cli.runs import add_measured
 from sysid_evo.errors import PluginError
 from tests.fixtures.commands import SMALL, Caller, forgetting, run_here
+from tests.fixtures.session import without_figures
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 PLUGIN = '''
@@ -46,6 +47,7 @@ PLANNED = ("compare", "--config", "run", "--dry-run")
 
 
 @pytest.fixture(scope="module")
+@without_figures()
 def made(stored_data, tmp_path_factory):
     """A folder with a plugin, a run that used it, a study and a configuration that name it."""
     folder = tmp_path_factory.mktemp("theirs")

@@ -9,12 +9,13 @@ import pytest
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
 from evaluation.report.render.svg import drawn
-from evaluation.report.report import save_report, to_json
+from evaluation.report.report import to_json
 from evaluation.report.sections.controllers import drive_command
 from evaluation.report.sections.replay import traces_picture
 from evaluation.report.sections.transfer import further_measures_table
-from evaluation.running import report_of
+from evaluation.running import gather_results, report_of
 from sysid_evo.plan import Store, execute
+from tests.fixtures.session import without_figures
 
 SHORT = {
     "models": ("linear", "narx"), "minutes": 0.5, "generations": 1, "trials": 2, "selection_trials": 2,
@@ -24,6 +25,7 @@ SHORT = {
 
 
 @pytest.fixture(scope="module", params=["pendulum swing_up(horizon=40)", "thermal set_point(horizon=40)"])
+@without_figures()
 def report(request, tmp_path_factory):
     robot, task = request.param.split(" ")
     folder = tmp_path_factory.mktemp(robot)
@@ -33,13 +35,11 @@ def report(request, tmp_path_factory):
     return report_of(comparison, store), folder
 
 
-@pytest.mark.usefixtures("blank_figures")
 def test_every_part_of_the_report_is_there(report):
     found, folder = report
     assert found.all_failures == ()
     assert all(np.isfinite(cell.mean) for cell in found.matrix.cells.values())
     assert len(found.exploitability) == 2
-    save_report(found, folder)
     page = (folder / "report.html").read_text()
     assert "Other measures of the task" in page
     assert "grey: their targets with the tolerance" in page
@@ -57,7 +57,7 @@ def test_the_states_are_drawn_and_what_the_task_tells_is_in_a_table(report):
 def test_what_was_computed_is_found_again_as_it_was(report):
     found, folder = report
     comparison = plan_comparison(Experiment.of(found.settings))
-    again = report_of(comparison, Store(folder))
+    again = gather_results(comparison, Store(folder))
     assert json.dumps(to_json(again)["transfer"]) == json.dumps(to_json(found)["transfer"])
     trace = again.matrix.cell("linear", "linear").traces[0]
     assert trace.targets[0].channel == found.data.system.states[0]
