@@ -22,7 +22,7 @@ FAMILIES = {
     "nearest_neighbour": {},
     "narx": {"terms": 8},
     "linear_state_space": {"iterations": 5, "folds": 1, "horizon": 200},
-    "gaussian_process": {"inducing": 60},
+    "gaussian_process": {"inducing": 60, "state_lags": 0, "control_lags": 2},
     "neural_ode": {**NETWORK, "control_lags": 1},
     "mlp_ensemble": {**NETWORK, "members": 2, "control_lags": 1},
     "torch_ode": {"hidden": [32], "updates": 4, "horizon": 5},

@@ -4,6 +4,7 @@ axe-core is that of the package ``axe-core-python``, or a newer one where ``AXE_
 """
 
 import csv
+import html
 import os
 import re
 from dataclasses import replace
@@ -36,6 +37,20 @@ def pages(report_page, tmp_path_factory):
     long = chosen.make_report({LONG: fitted(Known()), "sliding": fitted(Sliding())})
     study = save_study(made_up(procedure=["recommended", "plain"]), folder)
     return {"run": report_page, "long": save_report(long, folder)[1], "study": study[-1]}
+
+
+def test_the_page_is_self_contained_and_names_every_model_and_controller(report, report_page):
+    text = report_page.read_text()
+    assert not re.search(r"""(?:src|href)\s*=\s*["'](?!data:|\#)""", text)
+    assert set(re.findall(r"https?://[^\"]*", text)) == {"http://www.w3.org/2000/svg"}  # a name, never fetched
+    assert "@import" not in text
+    scripts = re.findall(r"<script([^>]*)>", text)  # data, and the script of the page: nothing that is fetched
+    data = {f' type="application/json" {name}' for name in ('id="replay-data"', 'class="chart"', 'class="links"')}
+    assert {script for script in scripts if script} == data
+    assert scripts.count("") == 1
+    for name in (*report.prediction.names, *report.matrix.rows, *report.matrix.columns):
+        assert html.escape(name) in text
+    assert text.index("Which models predict?") < text.index("Error over the horizon")
 
 
 @pytest.mark.parametrize("which", ["run", "study"])
