@@ -70,20 +70,15 @@ def no_worse(prediction: Prediction, model: ModelPrediction, best: ModelPredicti
 
 def predicts(prediction: Prediction, model: ModelPrediction, horizon: int | None) -> bool:
     """Whether a model is significantly better than both trivial predictions: the mean and persistence."""
-    score = model.score(horizon)
-    known = score is not None and tells_apart(prediction, horizon)
-    return known and beats_mean(score) and beats_persistence(prediction, model, horizon)
+    if not tells_apart(prediction, horizon) or not beats_mean(model.score(horizon)):
+        return False
+    difference = prediction.compare(model.name, PERSISTENCE, horizon)
+    return difference is not None and difference.significant and difference.difference.value < 0
 
 
 def beats_mean(score: ErrorScore | None) -> bool:
     """Whether an error is significantly below that of predicting the mean."""
     return score is not None and score.estimate.high < USELESS
-
-
-def beats_persistence(prediction: Prediction, model: ModelPrediction, horizon: int | None) -> bool:
-    """Whether a model is significantly better than persistence, which predicts no change."""
-    difference = prediction.compare(model.name, PERSISTENCE, horizon)
-    return difference is not None and difference.significant and difference.difference.value < 0
 
 
 def gain_over_rest(matrix: TransferMatrix, name: str) -> Estimate | None:

@@ -17,8 +17,6 @@ from evaluation.advice.evidence import ModelAdvice
 from evaluation.behaviour import driving_summaries
 from evaluation.report.document import Part
 from evaluation.report.elements import Answer, Page, Section, Tone
-from evaluation.report.render.html import page_of
-from evaluation.report.render.markdown import story_to_markdown
 from evaluation.report.render.terminal import answer_lines, indented, plain_text, table_lines
 from evaluation.report.save import json_text, write_page, write_text
 from evaluation.report.sections import (
@@ -99,18 +97,8 @@ def story_of(report: ComparisonResults) -> Page:
     )
 
 
-def to_html(report: ComparisonResults) -> str:
-    """Return the page of a report as text, with no link or source outside itself."""
-    return page_of(story_of(report))
-
-
-def to_markdown(report: ComparisonResults, *, figures: str = "") -> str:
-    """Return the report as Markdown; ``figures`` is the folder of the SVG files, empty to leave them out."""
-    return story_to_markdown(story_of(report), figures=figures)
-
-
 def save_report(
-    report: ComparisonResults, folder: str | Path, *, of: str | None = None, afresh: bool = False
+    report: ComparisonResults, folder: str | Path, *, of: str = "", afresh: bool = False
 ) -> tuple[Path, Path]:
     """Write ``report.json`` and ``report.html`` into ``folder`` and return their paths.
 
@@ -119,7 +107,7 @@ def save_report(
     """
     text = json_text(to_json(report))
     document = write_text(Path(folder) / DOCUMENT, text)
-    made_of = () if of is None else (of, text)
+    made_of = of + text if of else ""
     return document, write_page(Path(folder) / PAGE, lambda: story_of(report), made_of=made_of, afresh=afresh)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -58,29 +58,19 @@ FORMATS: dict[str, Callable[[Page, Path], tuple[Path, ...]]] = {
 """Functions that write further forms of a report, by name."""
 
 
-def write_page(page: Path, story: Callable[[], Page], *, made_of: Sequence[str] = (), afresh: bool = False) -> Path:
+def write_page(page: Path, story: Callable[[], Page], *, made_of: str = "", afresh: bool = False) -> Path:
     """Write an HTML page and return its path.
 
-    ``made_of`` are digests of all that the page shows. If they are given, a page of the same results by the same
-    program is left as it is, unless ``afresh``.
+    ``made_of`` determines all that the page shows. If it is given, a page of the same results by the same program is
+    left as it is, unless ``afresh``.
     """
     mark = ""
     if made_of:
-        found = hashlib.sha256(json.dumps([*made_of, versions()]).encode())
+        found = hashlib.sha256(json.dumps([made_of, versions()]).encode())
         for file in sorted(EVALUATION.rglob("*")):
             if file.suffix in (".py", ".j2", ".js", ".css", ".toml"):
                 found.update(file.read_bytes())
         mark = f"\n<!-- made of {found.hexdigest()} -->\n"
-    if mark and not afresh and _end(page, len(mark)) == mark:
+    if mark and not afresh and page.is_file() and page.read_bytes().endswith(mark.encode()):
         return page
     return write_text(page, page_of(story()) + mark)
-
-
-def _end(file: Path, length: int) -> str:
-    """Return the last ``length`` bytes of a file as text, nothing if there is none."""
-    try:
-        with file.open("rb") as stream:
-            stream.seek(max(0, file.stat().st_size - length))
-            return stream.read().decode(errors="replace")
-    except OSError:
-        return ""

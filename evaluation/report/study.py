@@ -71,7 +71,8 @@ def study_page(results: StudyResults) -> Page:
         ),
         Section("Settings", [settings_sheet(results)], background=True),
     ]
-    return Page(results.study.title, headlines(results), findings(results), summary_table(results), sections)
+    answers = _achieving(results), _forecasting(results), _predicting(results)
+    return Page(results.study.title, answers, findings(results), summary_table(results), sections)
 
 
 DOCUMENT, MARKDOWN, PAGE = "study.json", "study.md", "study.html"
@@ -108,11 +109,6 @@ def study_brief(results: StudyResults, *, verbose: bool = False) -> list[Rendera
             for sheet in section.sheets:
                 parts += [] if sheet.details else table_lines(sheet)
     return parts
-
-
-def headlines(results: StudyResults) -> tuple[Answer, ...]:
-    """Return the three answers that the page begins with."""
-    return _achieving(results), _forecasting(results), _predicting(results)
 
 
 def _achieving(results: StudyResults) -> Answer:

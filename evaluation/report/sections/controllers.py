@@ -488,19 +488,14 @@ POLISHED = "{} was polished once, from the best of all searches, so the variatio
 def open_questions(summary: TransferSummary) -> tuple[str, ...]:
     """Return what the claims leave open, in sentences."""
     claiming = [c for c in summary.controllers if c.claimed is not None]
-    answers = [wording] if (wording := seeds_unknown(summary)) else []
+    once = [c for c in claiming if len(c.seed_fitness) < 2]
+    answers = [POLISHED.format(", ".join(c.name for c in once))] if once else []
+    if any(not c.polished for c in once):
+        answers = [ONE_SEED]
     single = [c.name for c in claiming if c.achieved is not None and not np.isfinite(c.achieved.standard_error)]
     if single:
         answers.append(f"A single trial on the robot has no error and cannot test a claim: {', '.join(single)}.")
     return tuple(answers)
-
-
-def seeds_unknown(summary: TransferSummary) -> str:
-    """Return for which controllers the variation between evolution runs is not known; empty if it is for all."""
-    single = [c for c in summary.controllers if c.claimed is not None and len(c.seed_fitness) < 2]
-    if any(not c.polished for c in single):
-        return ONE_SEED
-    return POLISHED.format(", ".join(c.name for c in single)) if single else ""
 
 
 class ControllerForecastPart(Part):

@@ -21,7 +21,8 @@ from evaluation.cells.rounds import (
 from evaluation.experiment import Experiment
 from evaluation.experiment import with_rounds as with_settings_of_rounds
 from evaluation.planning import plan_comparison
-from evaluation.report.report import brief, to_html
+from evaluation.report.render.html import page_of
+from evaluation.report.report import brief, story_of
 from evaluation.report.sections.controllers import fitness_table
 from evaluation.report.sections.rounds import rounds_sentence, rounds_table
 from evaluation.rounds import (
@@ -330,7 +331,7 @@ def test_the_report_has_a_row_for_each_round_and_says_why_there_are_no_more():
     assert sentence.endswith("claims that held: round 2; no further round: 1900 recorded steps are the most.")
     assert "stabilise" not in rounds_sentence(with_rounds(RoundsSummary(1600, 200, ROUNDS)))
     assert "Rounds of recording" in "\n".join(printed(brief(shown)))
-    assert "Rounds of recording" in to_html(shown)
+    assert "Rounds of recording" in page_of(story_of(shown))
     assert rounds_table(report()) is None
     assert "Rows are in the order of the forecast. Claimed" in fitness_table(shown).note  # recordings decide, too
     assert "forecast, the only figure by which" in fitness_table(replace(shown, rounds=None)).note

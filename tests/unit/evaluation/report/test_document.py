@@ -14,8 +14,18 @@ import pytest
 from evaluation.exploitability.results import UnderratedController
 from evaluation.prediction.scoring import assess_prediction
 from evaluation.report import save
+from evaluation.report.render.html import page_of
 from evaluation.report.render.terminal import table_lines
-from evaluation.report.report import SCHEMA, load_report, report_schema, save_report, sections, tables, to_html, to_json
+from evaluation.report.report import (
+    SCHEMA,
+    load_report,
+    report_schema,
+    save_report,
+    sections,
+    story_of,
+    tables,
+    to_json,
+)
 from evaluation.report.sections.summary import verdict
 from evaluation.report.sections.transfer import transfer_sheet
 from evaluation.results import ComparisonResults, DataSummary, Failure
@@ -57,7 +67,7 @@ def test_timings_stand_under_one_key_alone_and_the_page_leaves_out_the_short_one
 
 
 def test_names_are_escaped_and_never_taken_for_mathematics():
-    drawn = to_html(chosen.report(transfer=matrix({EVIL: {EVIL: 9.0, "b": 8.0}})))
+    drawn = page_of(story_of(chosen.report(transfer=matrix({EVIL: {EVIL: 9.0, "b": 8.0}}))))
     assert any("$\\frac$" in drawing for drawing in re.findall(r"<svg.*?</svg>", drawn, re.DOTALL))
     for page in (drawn, text_page(make_report({EVIL: fitted(Known())}, robot=False))):
         assert "<b>" not in page
@@ -107,7 +117,7 @@ def test_a_report_of_prediction_alone_has_no_transfer(report):
 def test_a_test_set_of_a_few_samples_still_gives_a_report(report):
     short = assess_prediction({"known": fitted(Known())}, recording(), recording(1, steps=5))
     brief = replace(report, prediction=short, matrix=None, exploitability=())
-    assert "No test episode is long enough to simulate it whole" in to_html(brief)
+    assert "No test episode is long enough to simulate it whole" in page_of(story_of(brief))
     assert "No test episode is long enough to simulate it whole" in " ".join(in_terminal(brief).split())
 
 
@@ -119,12 +129,12 @@ def test_a_single_trial_on_the_robot_has_no_error_bar():
     assert achieved.value == 2.0
     assert np.isnan(achieved.standard_error)
     assert to_json(report)["controllers"]["controllers"][0]["achieved"]["standard_error"] is None
-    assert "2.00" in to_html(report)
+    assert "2.00" in page_of(story_of(report))
 
 
 def test_nothing_but_names_and_failures_is_still_a_page(report):
     empty = ComparisonResults(report.title, report.data)
-    assert "Nothing was compared" in to_html(empty)
+    assert "Nothing was compared" in page_of(story_of(empty))
     (answer,) = to_json(empty)["answers"]
     assert (answer["question"], answer["sentences"]) == ("What was found?", ["Nothing was compared."])
 

@@ -8,8 +8,9 @@ import pytest
 
 from evaluation.report import report as report_module
 from evaluation.report.elements import Section, TableElement
-from evaluation.report.render.markdown import sheet_to_markdown
-from evaluation.report.report import sections, story_of, tables, to_html, to_markdown
+from evaluation.report.render.html import page_of
+from evaluation.report.render.markdown import sheet_to_markdown, story_to_markdown
+from evaluation.report.report import sections, story_of, tables
 from evaluation.report.save import write_format
 from evaluation.report.sections.summary import headlines
 from sysid_evo.errors import InvalidArgument
@@ -27,7 +28,7 @@ def test_a_markdown_table_has_as_many_cells_in_every_row_and_escapes_what_means_
 
 
 def test_every_table_and_answer_of_the_report_is_in_markdown(report):
-    markdown = to_markdown(report)
+    markdown = story_to_markdown(story_of(report))
     sheets = [sheet for section in sections(report) for sheet in section.sheets]
     assert len(sheets) > 10
     for sheet in sheets:
@@ -60,7 +61,7 @@ def test_a_further_section_is_one_function_in_the_list_and_shows_in_every_form(r
 
     monkeypatch.setattr(report_module, "SECTIONS", (*report_module.SECTIONS, tyres))
     undrawn = replace(report, prediction=None, matrix=None, exploitability=())
-    for text in (to_html(undrawn), to_markdown(undrawn), "\n".join(printed(tables(undrawn)))):
+    for text in (page_of(story_of(undrawn)), story_to_markdown(story_of(undrawn)), "\n".join(printed(tables(undrawn)))):
         assert "Wear of tyres" in text
         assert "No tyre was weighed." in text
 
