@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sysid_evo.carry import CarryLayout
 from sysid_evo.errors import MissingExtra
 from sysid_evo.models.dynamics import Dynamics
 
@@ -29,6 +30,8 @@ def to_control(model: Dynamics, *, name: str | None = None) -> control.Nonlinear
 
     system = model.system
     system.check_causal("to_control")
+    layout = CarryLayout(system.nx, system.nu, *getattr(model, "lags", (0, 0)))
+    names = layout.input_names(system.state_names, system.control_names)[: layout.size]
 
     def update(_: float, x: np.ndarray, u: np.ndarray, _params: Mapping[str, Any]) -> np.ndarray:
         return model.step(np.atleast_2d(x).astype(float), np.atleast_2d(u).astype(float))[0]
@@ -41,17 +44,7 @@ def to_control(model: Dynamics, *, name: str | None = None) -> control.Nonlinear
         output,
         inputs=list(system.control_names),
         outputs=list(system.state_names),
-        states=carry_names(model),
+        states=[*names, *(f"carry[{i}]" for i in range(layout.size, model.n_carry))],
         dt=system.dt,
         name=name or type(model).__name__,
     )
-
-
-def carry_names(model: Dynamics) -> list[str]:
-    """Return a name for every number of the carry."""
-    system = model.system
-    names = list(system.state_names)
-    state_lags, control_lags = getattr(model, "lags", (0, 0))
-    names += [f"{state}[-{lag}]" for lag in range(1, state_lags + 1) for state in system.state_names]
-    names += [f"{control}[-{lag}]" for lag in range(1, control_lags + 1) for control in system.control_names]
-    return names + [f"carry[{i}]" for i in range(len(names), model.n_carry)]

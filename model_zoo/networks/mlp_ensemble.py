@@ -136,7 +136,7 @@ class MlpEnsemble(StochasticModel):
             usable = min(training_horizon(part, self.horizon, self.n_lags) for part in parts)
             if usable < self.horizon:
                 self.training_horizon_ = usable
-            growth = growth_on_unseen_recordings(quick_fit, dataset, steps=HORIZONS) if rough else None
+            growth = growth_on_unseen_recordings(quick_fit, dataset) if rough else None
         if self.stochastic:
             self._calibrate_horizons(dataset, kept, growth, rng, lambda: counter.advance(0))
         return self

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from sysid_evo.angles import TURN
+from sysid_evo.angles import TURN, wrap
 from sysid_evo.data.columns import Column, ColumnMap, ControlColumn, StateColumn, TimeColumn
 from sysid_evo.data.preparation import LONGEST, RATE_TOLERANCE, SHORTEST, RawLog
 from sysid_evo.data.readers import LEAVE_OUT, Table, such_rows
@@ -186,12 +186,12 @@ def _heading_jumps(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
             f"{table.where(column.column, row)}: the heading jumps by {step[row - 1]:.1f}, a full turn in degrees, but "
             f'the column map declares rad; declare unit = "deg"'
         )
-    jumps = np.flatnonzero(np.abs(_wrap(step)) > 1.0)
+    jumps = np.flatnonzero(np.abs(wrap(step)) > 1.0)
     if not len(jumps):
         return []
     row = int(jumps[0]) + 1
     return [
-        f"{table.where(column.column, row)}: the heading jumps by {_wrap(step)[row - 1]:.2f} rad from one row to the "
+        f"{table.where(column.column, row)}: the heading jumps by {wrap(step)[row - 1]:.2f} rad from one row to the "
         f"next{such_rows(len(jumps))}"
     ]
 
@@ -246,7 +246,7 @@ class _Pair:
     def change(self, factor: float) -> Array:
         """Return the change per second of the other column times ``factor``; angles may wrap."""
         steps = np.diff(self._values * factor)
-        moved = np.cumsum(np.concatenate([[0.0], _wrap(steps) if to_si(self.of.unit)[0] == "rad" else steps]))
+        moved = np.cumsum(np.concatenate([[0.0], wrap(steps) if to_si(self.of.unit)[0] == "rad" else steps]))
         return np.asarray(
             (moved[self._after] - moved[self._before]) / (self._time[self._after] - self._time[self._before])
         )
@@ -328,10 +328,6 @@ def _baseline(time: Array) -> tuple[IntArray, IntArray]:
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _wrap(angle: Array) -> Array:
-    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 UNITS = ("s", "ms", "us", "ns")

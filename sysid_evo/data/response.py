@@ -314,17 +314,14 @@ def without_dead_stretches(dataset: Dataset) -> Dataset:
     return replace(dataset.with_episodes(kept), notes=(*dataset.notes, note))
 
 
-def _window(system: System) -> int:
-    return max(FEWEST_SAMPLES, round(RESPONSE / system.dt))
-
-
 def _dead(dataset: Dataset, still: list[BoolArray], resting: list[bool]) -> list[bool]:
     """Return which of the ``resting`` episodes are those in which the robot should have moved.
 
     Commands of a window at rest are similar if their means over both halves are. A command counts as far as it is
     correlated with leaving rest.
     """
-    size, dt = _window(dataset.system), dataset.system.dt
+    dt = dataset.system.dt
+    size = max(FEWEST_SAMPLES, round(RESPONSE / dt))
     stride = max(1, size // 6)
     windows = [
         (number, start, *(half.mean(axis=0) for half in np.array_split(episode.controls[start : start + size], 2)))

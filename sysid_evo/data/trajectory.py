@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -94,13 +94,12 @@ class Trajectory(Displayed):
         if not isinstance(steps, slice) or steps.step not in (None, 1):
             raise InvalidData("episode: expected a plain range of steps, like episode[10:50]")
         first, last, _ = steps.indices(len(self))
-        return Trajectory(
+        return replace(
+            self,
             states=self.states[first : last + 1],
             controls=self.controls[first:last],
-            dt=self.dt,
             pose=None if self.pose is None else self.pose[first : last + 1],
             name=f"{self.name}[{first}:{last}]",
-            condition=self.condition,
             rewards=None if self.rewards is None else self.rewards[first:last],
             ending=self.ending if last == len(self) else "",
         )
@@ -185,14 +184,7 @@ class Windows:
         return self.past_states[:, -1]
 
     def __getitem__(self, rows: IntArray | slice) -> Windows:
-        return Windows(
-            self.past_states[rows],
-            self.past_controls[rows],
-            self.controls[rows],
-            self.states[rows],
-            self.episode[rows],
-            self.start[rows],
-        )
+        return Windows(**{name: array[rows] for name, array in vars(self).items()})
 
 
 @dataclass(frozen=True)

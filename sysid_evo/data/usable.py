@@ -13,18 +13,22 @@ STEPS_PER_CHANNEL = 10
 """Least number of steps per state, per control and one more; with fewer, a linear model is poorly determined."""
 
 
-def check_usable(dataset: Dataset, *, horizon: int = 10, first: int = 5, name: str = "data set") -> None:
+HISTORY, HORIZON = 5, 10
+FEWEST = HISTORY + HORIZON
+"""Steps of one window: a prediction over 10 steps after 5 of history; an error over fewer steps is meaningless."""
+
+
+def check_usable(dataset: Dataset, *, name: str = "data set") -> None:
     """Raise `InvalidData` if ``dataset`` is too short to fit or test a model, or shows no motion.
 
-    It needs one episode of ``first + horizon`` steps (a prediction over ``horizon`` steps after ``first`` samples of
-    history), and in all ten steps for each channel and one more. ``name`` begins the message.
+    It needs one episode of 15 steps, and in all ten steps for each channel and one more. ``name`` begins the message.
     """
     system = dataset.system
     longest = max(dataset, key=len)
     wanted = STEPS_PER_CHANNEL * (system.nx + system.nu + 1)
-    if len(longest) < first + horizon or dataset.n_steps < wanted:
+    if len(longest) < FEWEST or dataset.n_steps < wanted:
         raise InvalidData(
-            f"{name}: expected an episode of {first + horizon} steps or more, to predict {horizon} steps after {first} "
+            f"{name}: expected an episode of {FEWEST} steps or more, to predict {HORIZON} steps after {HISTORY} "
             f"of history, and {wanted} steps in all for {system.nx + system.nu} states and controls; got "
             f"{dataset.n_steps} steps of {system.dt:g} s, the longest episode {longest.name!r} with {len(longest)}. "
             "Record for longer, or read in the notes of the import why samples were removed"
@@ -38,10 +42,6 @@ LARGEST = 1e30
 for Gaussian processes), the float32 of compiled models at 3e38."""
 CONSTANT = 1e-12
 """Rounding errors of a constant state, as a share of its size."""
-
-
-FEWEST = 15
-"""Steps of one window of `check_usable`; an error over fewer steps is meaningless."""
 
 
 def warnings_about(dataset: Dataset) -> Iterator[str]:

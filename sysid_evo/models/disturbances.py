@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -47,20 +47,14 @@ class DomainRandomisation:
     exact_channels: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self,
-            "exact_channels",
-            tuple(self.exact_channels) if isinstance(self.exact_channels, (list, tuple)) else (self.exact_channels,),
-        )
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if item.name == "exact_channels":
-                continue
-            whole = item.name == "latency"
+        given = self.exact_channels
+        object.__setattr__(self, "exact_channels", tuple(given) if isinstance(given, (list, tuple)) else (given,))
+        for name in ("sensor", "bias", "latency", "gain", "process"):
+            value, whole = getattr(self, name), name == "latency"
             number = isinstance(value, int if whole else (int, float)) and not isinstance(value, bool)
             if not number or not 0 <= value < np.inf:
                 raise InvalidArgument(
-                    f"noise: expected {item.name} to be {'a whole number' if whole else 'a number'} >= 0, got {value!r}"
+                    f"noise: expected {name} to be {'a whole number' if whole else 'a number'} >= 0, got {value!r}"
                 )
 
     def disturbed_channels(self, system: System) -> tuple[Array, Array]:

@@ -21,7 +21,7 @@ from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.trajectory import Windows, evenly_spaced
 from sysid_evo.types import Array, BoolArray, IntArray
 from sysid_evo.validation.folds import recording_folds, time_fold
-from sysid_evo.validation.simulation_error import STRIDE, Fitted, Simulator, error_windows
+from sysid_evo.validation.simulation_error import STRIDE, Fitted, Simulator
 
 HORIZONS = (1, 10, 20, 60)
 """Steps at which intervals are calibrated, and at which their coverage is measured."""
@@ -215,16 +215,15 @@ def horizon_scales(
     persistent: Array,
     rng: np.random.Generator,
     *,
-    share: float = SHARE,
     heartbeat: Callable[[], None] = lambda: None,
 ) -> Array:
     """Return the noise of every step in deviations (4, nx), for each time span between 0 and `HORIZONS`.
 
-    The noise between two horizons is chosen so that at the later one ``share`` of all windows lie inside (split
+    The noise between two horizons is chosen so that at the later one 90 % of all windows lie inside (split
     conformal prediction: Lei et al. 2018), given the variance from earlier noise. The part ``persistent`` (nx,) of its
     variance is drawn once for a run. Time spans beyond the longest window have the last scale.
     """
-    z = NormalDist().inv_cdf(0.5 + share / 2)
+    z = NormalDist().inv_cdf(0.5 + SHARE / 2)
     nx, seed = cases[0].windows.states.shape[2], int(rng.integers(2**32))
     runs = [_Run(case, persistent, (seed, i)) for i, case in enumerate(cases) if len(case.windows)]
     scales = np.ones((len(HORIZONS), nx))
@@ -241,7 +240,7 @@ def horizon_scales(
                 variance = (1.0 - POOLED_WEIGHT) * variance + POOLED_WEIGHT * variance.mean(axis=0)
                 added = np.maximum(variance - earlier, 1e-6 * variance + np.finfo(float).tiny)
                 wanted.append(((square - earlier) / added)[run.counts(last)])
-            scale = scale * _factor(np.concatenate(wanted), share)
+            scale = scale * _factor(np.concatenate(wanted))
         for run in runs:
             run.go(first, last, scale)
         scales[number] = scale
@@ -249,12 +248,12 @@ def horizon_scales(
     return scales
 
 
-def _factor(wanted: Array, share: float) -> Array:
-    """Return the factor (nx,) of new noise with which ``share`` of the targets lie inside.
+def _factor(wanted: Array) -> Array:
+    """Return the factor (nx,) of new noise with which 90 % of the targets lie inside.
 
     ``wanted`` (N, nx) is the requirement of each target: its square, minus the earlier variance, over the added one.
     """
-    level = min(1.0, share * (len(wanted) + 1) / len(wanted))
+    level = min(1.0, SHARE * (len(wanted) + 1) / len(wanted))
     return np.clip(np.sqrt(np.maximum(np.quantile(wanted, level, axis=0, method="higher"), 0.0)), SMALLEST, LARGEST)
 
 
@@ -322,42 +321,36 @@ def rough_fits(dataset: Dataset) -> int:
     return groups + BLOCK_FOLDS if groups else 0
 
 
-def growth_on_unseen_recordings(
-    fit: Callable[[Dataset], Simulator], dataset: Dataset, *, share: float = SHARE, steps: Sequence[int] | None = None
-) -> Array:
-    """Return the factor (nx,) by which errors on an unseen recording exceed those on held-out blocks of time.
+def growth_on_unseen_recordings(fit: Callable[[Dataset], Simulator], dataset: Dataset) -> Array:
+    """Return the factor (4, nx) by which errors on an unseen recording exceed those on held-out blocks of time.
 
-    Errors are the ``share`` quantile after one second of the model that ``fit`` returns for the rest. With ``steps``,
-    they are those after these numbers of steps, (len(steps), nx); numbers beyond the longest block get its factor.
-    A recording differs from others by battery, tyres or floor, which are the same for blocks of one recording. The
-    factor is the geometric mean over the recordings held out in turn, at least 1.
+    Errors are the 90 % quantile after each of `HORIZONS` of the model that ``fit`` returns for the rest; horizons
+    beyond the longest block get its factor. A recording differs from others by battery, tyres or floor, which are the
+    same for blocks of one recording. The factor is the geometric mean over the recordings held out in turn, at least 1.
     """
     groups = recording_folds(dataset)
     if not groups:
-        return np.ones(dataset.system.nx) if steps is None else np.ones((len(steps), dataset.system.nx))
+        return np.ones((len(HORIZONS), dataset.system.nx))
     inside = [(fit(seen), held) for seen, held in (time_fold(dataset, k) for k in range(BLOCK_FOLDS))]
     outside = [(fit(seen), held) for seen, held in groups]
     factors: list[Array] = []
-    for step in [None] if steps is None else steps:
+    for step in HORIZONS:
         within = [_last_errors(model, held, step) for model, held in inside]
         across = [_last_errors(model, held, step) for model, held in outside]
         if any(len(errors) == 0 for errors in (np.concatenate(within), *across)):
             factors.append(factors[-1] if factors else np.ones(dataset.system.nx))
             continue
-        seen_errors = np.quantile(np.concatenate(within), share, axis=0)
-        unseen_errors = np.maximum([np.quantile(errors, share, axis=0) for errors in across], np.finfo(float).tiny)
+        seen_errors = np.quantile(np.concatenate(within), SHARE, axis=0)
+        unseen_errors = np.maximum([np.quantile(errors, SHARE, axis=0) for errors in across], np.finfo(float).tiny)
         factor = np.exp(np.mean(np.log(unseen_errors), axis=0)) / np.where(seen_errors > 0, seen_errors, np.inf)
         factors.append(np.maximum(factor, 1.0))
-    return factors[0] if steps is None else np.stack(factors)
+    return np.stack(factors)
 
 
-def _last_errors(model: Simulator, held: Dataset, step: int | None) -> Array:
-    """Return the absolute errors (N, nx) after ``step`` steps, or after one second for None."""
-    if step is None:
-        windows = error_windows(held, model.n_lags)
-    else:
-        windows = held.windows(step, stride=STRIDE, history=model.n_lags, moving=True)
-        if not len(windows):
-            return np.empty((0, held.system.nx))
+def _last_errors(model: Simulator, held: Dataset, step: int) -> Array:
+    """Return the absolute errors (N, nx) after ``step`` steps."""
+    windows = held.windows(step, stride=STRIDE, history=model.n_lags, moving=True)
+    if not len(windows):
+        return np.empty((0, held.system.nx))
     simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
     return np.abs(simulated[:, -1] - windows.states[:, -1])

@@ -23,7 +23,7 @@ from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.estimates import Draws, Estimate
 
 SECOND, FEWEST_STEPS = 1.0, 10
-"""Default length of a simulation in s, and the least number of steps."""
+"""Length of a simulation in s, and the least number of steps."""
 
 STRIDE = 4
 """Samples between the starts of two windows."""
@@ -51,15 +51,13 @@ class Simulator(Fitted, Protocol):
         ...
 
 
-def error_windows(
-    dataset: Dataset, history: int, *, stride: int = STRIDE, seconds: float = SECOND, fewest: int = FEWEST_STEPS
-) -> Windows:
+def error_windows(dataset: Dataset, history: int, *, stride: int = STRIDE, fewest: int = FEWEST_STEPS) -> Windows:
     """Return windows that start in motion, of one second and at least ten steps, or the longest that the data have.
 
     One starts every ``stride`` samples; the stride is larger for long data, so that there are at most `MOST_WINDOWS`.
     """
     longest = max(len(episode) for episode in dataset.episodes) - history
-    horizon = min(max(fewest, round(seconds / dataset.system.dt)), longest)
+    horizon = min(max(fewest, round(SECOND / dataset.system.dt)), longest)
     if horizon < 1:
         raise InvalidData(f"data set: no episode is longer than {history} steps, the required history")
     least = -(-dataset.n_steps // MOST_WINDOWS)

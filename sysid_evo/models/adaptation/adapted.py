@@ -81,8 +81,7 @@ class Adapted(DynamicsModel):
             )
         dataset = as_of(self.base_.system, dataset)
         found = adaptation(self.base_, dataset, training=training, rng=rng, progress=progress)
-        if found.learned.model is not self.base_:
-            self.base_ = found.learned.model
+        self.base_ = found.learned.model
         self._hold(found.learned)
         self.decision_, self.chosen_ = found.decision.sentence, found.decision.chosen
         self.test_errors_ = [[trial.error, *trial.each] for trial in found.decision.trials]
@@ -122,10 +121,8 @@ class Adapted(DynamicsModel):
     def _widen(self) -> None:
         """Extend state bounds and training sample by those of the base; use those of the base if nothing was chosen."""
         if self.chosen_ == NONE:
-            self.state_bounds_, self.training_sample_ = (
-                self.base_.state_bounds_.copy(),
-                self.base_.training_sample_.copy(),
-            )
+            self.state_bounds_ = self.base_.state_bounds_.copy()
+            self.training_sample_ = self.base_.training_sample_.copy()
             return
         own, other = self.state_bounds_, self.base_.state_bounds_
         self.state_bounds_ = np.stack([np.minimum(own[0], other[0]), np.maximum(own[1], other[1])])
