@@ -64,7 +64,7 @@ def evolve(
 
 def _members(text: str) -> tuple[str, ...]:
     """Split ``a,b,c`` at the commas outside brackets. Raises `InvalidArgument`."""
-    members = listed("--against", text) or ()
+    members = listed("--against", text)
     repeated = sorted({member for member in members if members.count(member) > 1})
     if repeated:
         raise InvalidArgument(f"--against: {', '.join(repeated)} is named twice")
@@ -174,7 +174,7 @@ def transfer(
     """
     load_plugins(plugin)
     session.run = None if run is None else sysid_evo.plan.Store(run)
-    systems = evaluation.transfer_targets(listed("--on", on) or (), run)
+    systems = evaluation.transfer_targets(listed("--on", on), run)
     robots = [place.column.robot for place in systems]
     drivers = evaluation.stored_controllers(controllers, systems[0].system, task, robots=robots)
     evaluation.check_fit(drivers, systems)

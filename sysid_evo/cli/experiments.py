@@ -297,7 +297,7 @@ def study(
     found = evaluation.Study.read(file)
     if plugin:
         named = found.experiment.get("plugins", ())
-        found = found.with_plugins(tuple(dict.fromkeys((*named, *(resolved(plugin) or ())))))
+        found = found.with_plugins(tuple(dict.fromkeys((*named, *resolved(plugin)))))
     path = (
         evaluation.check_run_folder(file) if file.is_dir() and folder is None else evaluation.study_folder(folder, file)
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 import os
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -167,7 +167,8 @@ def converted(model: type[BaseModel], name: str, value: Any) -> Any:
     """Return the text of an option, or its texts, as the setting expects it."""
     metavar = option_of(model, name).metavar
     if name == "columns":
-        return column_map(Path(value))
+        path = Path(value)
+        return str(path.resolve() if path.exists() else path)  # a file, or the name of a shipped one
     if _repeated(model, name):
         return resolved([Path(text) for text in value]) if metavar in ("PATH", "FILE") else tuple(value)
     if metavar == "TIME":
@@ -189,24 +190,19 @@ def time_of(name: str, text: str) -> float:
         raise InvalidArgument(f"{name}: {error}") from error
 
 
-def listed(option: str, text: str | None) -> tuple[str, ...] | None:
+def listed(option: str, text: str | None) -> tuple[str, ...]:
     """Split ``a, b(c=1, d=2)`` at the commas outside brackets. Raises `InvalidArgument` that names the option."""
     if text is None:
-        return None
+        return ()
     try:
         return tuple(split_specs(text))
     except InvalidArgument as error:
         raise InvalidArgument(f"{option}: {error}") from error
 
 
-def resolved(paths: Sequence[Path] | None) -> tuple[str, ...] | None:
+def resolved(paths: Iterable[Path]) -> tuple[str, ...]:
     """Return paths as absolute ones, which hold in any folder."""
-    return None if paths is None else tuple(str(path.resolve()) for path in paths)
-
-
-def column_map(columns: Path | None) -> str | None:
-    """Return the absolute path of a column map, or the name of a shipped one."""
-    return None if columns is None else str(columns.resolve() if columns.exists() else columns)
+    return tuple(str(path.resolve()) for path in paths)
 
 
 def check_new_folder(folder: Path, *, overwrite: bool = False, replaced: Collection[str] = ()) -> None:

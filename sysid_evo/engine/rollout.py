@@ -11,7 +11,7 @@ import numpy as np
 
 from sysid_evo.controllers.controller import Controller
 from sysid_evo.engine import reference
-from sysid_evo.engine.compiled.closed_loop import LoopData, LoopTrials, RolloutKernels, run_in_threads
+from sysid_evo.engine.compiled.closed_loop import LoopData, LoopTrials, run_in_threads
 from sysid_evo.engine.results import Rollouts, finished
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import Precision
@@ -174,7 +174,9 @@ class BoundRollout:
                 f"rollout: engine {engine!r} needs kernels, but there is none of the {missing}: use engine='auto'"
             )
         return LoopData(
-            RolloutKernels(dynamics_kernel, controller_kernel, task_kernel),
+            dynamics_kernel,
+            controller_kernel,
+            task_kernel,
             dynamics.system,
             n_memory=controller.n_memory,
             n_observations=len(task.observations),
@@ -197,7 +199,7 @@ class BoundRollout:
             raise InvalidArgument("rollout: expected at least one trial seed, got none")
         if self.compiled is None:
             return reference.run(dynamics, self.controller, parameters, task, seeds, record=record)
-        trials, start, task_kernel = len(seeds), task.begin(seeds), self.compiled.kernels.task
+        trials, start, task_kernel = len(seeds), task.begin(seeds), self.compiled.task
         noise = np.empty((trials, task.horizon, dynamics.n_noise))
         run_in_threads(lambda: partial(_draw, seeds, noise), trials, self.threads)
         carry = started(dynamics, start.state, draw_for_trials(seeds, dynamics.n_draws))

@@ -146,7 +146,10 @@ class Execution:
             while self.ready and workers is not None and workers.n_idle():
                 self._send(heappop(self.ready)[1], workers)
             if self.ready_here:
-                self._compute(heappop(self.ready_here)[1])
+                cell = heappop(self.ready_here)[1]
+                self.started.add(cell.digest)
+                end = run_cell(self.store, cell, self._failed(cell), self.observer, repair=self.only is None)
+                self._finish(cell, end)
             if self.sent and workers is not None:
                 self._collect(workers)
             elif not self.ready_here and (self.busy or self.ready):
@@ -193,11 +196,6 @@ class Execution:
 
     def _failed(self, cell: Cell) -> set[str]:
         return {needed.digest for needed in cell.needs if self.ended[needed.digest].failed}
-
-    def _compute(self, cell: Cell) -> None:
-        self.started.add(cell.digest)
-        end = run_cell(self.store, cell, self._failed(cell), self.observer, repair=self.only is None)
-        self._finish(cell, end)
 
     def _send(self, cell: Cell, workers: Workers) -> None:
         try:

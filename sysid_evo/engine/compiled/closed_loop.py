@@ -36,15 +36,6 @@ PARTS_PER_THREAD = 2  # parts of the work for each thread
 
 
 @dataclass(frozen=True)
-class RolloutKernels:
-    """The three kernels of a rollout."""
-
-    dynamics: DynamicsKernel
-    controller: ControllerKernel
-    task: TaskKernel[Any]
-
-
-@dataclass(frozen=True)
 class LoopTrials:
     """Start of P candidates, ``theta`` (P, n), in E trials: ``carry`` (E, n_carry) and ``noise`` (E, horizon, n_noise).
 
@@ -85,7 +76,9 @@ class LoopData:
 
     def __init__(
         self,
-        kernels: RolloutKernels,
+        dynamics: DynamicsKernel,
+        controller: ControllerKernel,
+        task: TaskKernel[Any],
         system: System,
         *,
         n_memory: int,
@@ -95,20 +88,20 @@ class LoopData:
         state_bounds: Array | None = None,
         precision: Precision = "float32",
     ) -> None:
-        self.kernels, self.precision = kernels, precision
+        self.task, self.precision = task, precision
         self.loop = compiled_loop(loops.closed_loop, loops.CLOSED_LOOP, precision)
         self.functions = {
-            "dynamics": compiled(kernels.dynamics.source, DYNAMICS, precision),
-            "controller": compiled(kernels.controller.source, CONTROLLER, precision),
-            "observe": compiled(kernels.task.observe, OBSERVE, precision),
-            "advance": compiled(kernels.task.advance, ADVANCE, precision),
+            "dynamics": compiled(dynamics.source, DYNAMICS, precision),
+            "controller": compiled(controller.source, CONTROLLER, precision),
+            "observe": compiled(task.observe, OBSERVE, precision),
+            "advance": compiled(task.advance, ADVANCE, precision),
         }
         tables = {
-            "dynamics_parameters": kernels.dynamics.parameters,
-            "controller_parameters": kernels.controller.parameters,
-            "task_parameters": kernels.task.parameters,
+            "dynamics_parameters": dynamics.parameters,
+            "controller_parameters": controller.parameters,
+            "task_parameters": task.parameters,
             "state_bounds": bounds_table(state_bounds, system.nx, precision),
-            "actuation": actuation_table(system, precision, before_tanh=kernels.controller.before_tanh),
+            "actuation": actuation_table(system, precision, before_tanh=controller.before_tanh),
             "centre": np.concatenate([system.neutral_state, system.neutral_control]),
         }
         self.tables = {name: aligned(array, precision) for name, array in tables.items()}
@@ -116,8 +109,8 @@ class LoopData:
             "nx": system.nx,
             "nu": system.nu,
             "n_memory": n_memory,
-            "pose_row": kernels.task.pose_row,
-            "n_pose": kernels.task.n_pose,
+            "pose_row": task.pose_row,
+            "n_pose": task.n_pose,
             "observed_at": observed_at,
             "penalty_at": -1 if penalty_at is None else penalty_at,
         }
@@ -129,18 +122,15 @@ class LoopData:
             "before": system.nx,
             "sign_counts": 2 * (system.nx + system.nu),
             "trial_index": 1,
-            "scratch": kernels.dynamics.n_scratch,
-            "controller_scratch": kernels.controller.n_scratch,
+            "scratch": dynamics.n_scratch,
+            "controller_scratch": controller.n_scratch,
         }
 
     def run(self, loop_trials: LoopTrials, *, record: bool, threads: int = 1) -> tuple[LoopResults, Array]:
         """Return the results, which do not depend on ``threads``, and the final rows of the task, (rows, P E)."""
         real, (trials, horizon, n_noise) = np.dtype(self.precision), loop_trials.noise.shape
-        (candidates, n_theta), n_carry, n_task = (
-            loop_trials.theta.shape,
-            loop_trials.carry.shape[1],
-            len(loop_trials.task),
-        )
+        candidates, n_theta = loop_trials.theta.shape
+        n_carry, n_task = loop_trials.carry.shape[1], len(loop_trials.task)
         nx, nu, n_pose, rollouts = self.sizes["nx"], self.sizes["nu"], self.sizes["n_pose"], candidates * trials
         sizes = loops.CLOSED.integers(
             **self.sizes,
