@@ -187,10 +187,9 @@ MAX_TIMING = 2.0
 
 
 def equation_findings(
-    dynamics: Dynamics, sensors: SelfTestFinding, *, stop: StopRequest | None = None
+    dynamics: Dynamics, sensors: SelfTestFinding, *, stop: StopRequest
 ) -> tuple[SelfTestFinding, ...]:
     """Return findings on the equations after that of the ``sensors``; a stop from outside ends it."""
-    stop = StopRequest() if stop is None else stop
     findings = [system_finding(dynamics.system), sensors, _rest(dynamics, stop)]
     findings += [_answer(dynamics, place, stop) for place in range(dynamics.system.nu) if stop.reason is None]
     return (*findings, _speed(dynamics, stop))

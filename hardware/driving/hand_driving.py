@@ -49,74 +49,50 @@ class HandTrial:
     limits: GateLimits
 
 
-class HandDriving:
-    """Lets a person drive trials of ``task`` on ``robot``, each in a session of its own.
+def hand_trials(
+    robot: Robot,
+    task: Task,
+    keyboard: Keyboard,
+    instruments: HandPanel,
+    *,
+    seed_of: Callable[[int], int],
+    stop: StopRequest,
+    recorder: Callable[[str, GateLimits], Listener] | None = None,
+    origin: Array | None = None,
+) -> Iterator[HandTrial]:
+    """Let a person drive trials of ``task`` on ``robot``, each in a session of its own; yield them as they end.
 
+    A stop from outside ends them. A trial that a fault ends is yielded, too, and the person may ask for the next one.
     Between trials nothing is connected, and the robot drives only after the person has asked for a trial, released all
     keys and pressed one. The task's origin is the robot's pose at the first trial, or that of the tracker (``origin``
     all zero). ``seed_of`` gives the seed of a trial, from 0; it also fixes the random draws of an emulated robot.
-    ``recorder`` makes a listener of a trial, given the trial's name; it is closed after the trial.
+    ``recorder`` makes a listener of a trial, given the trial's name; it is closed after the trial. Raises `LinkLost` if
+    the robot does not connect.
     """
-
-    def __init__(
-        self,
-        robot: Robot,
-        task: Task,
-        keyboard: Keyboard,
-        instruments: HandPanel,
-        *,
-        seed_of: Callable[[int], int],
-        stop: StopRequest,
-        recorder: Callable[[str, GateLimits], Listener] | None = None,
-        origin: Array | None = None,
-    ) -> None:
-        check_loop(robot.system)
-        self._robot = robot
-        self._task = task.bind(robot.system)
-        self._keyboard = keyboard
-        self._instruments = instruments
-        self._seed_of = seed_of
-        self._stop = stop
-        self._recorder = recorder
-        self._origin = origin
-
-    def trials(self) -> Iterator[HandTrial]:
-        """Yield the trials as they end; a stop from outside ends them. Raises `LinkLost` if none connects.
-
-        A trial that a fault ends is yielded, too, and the person may ask for the next one.
-        """
-        for index in count():
-            trial = self._drive(index)
-            self._instruments.finish(trial.fitness, trial.report.sentence if trial.report.reason.is_fault else "")
-            yield trial
-            if not self._wanted():
-                return
-
-    def _drive(self, index: int) -> HandTrial:
-        seed, name = self._seed_of(index), f"trial-{index + 1}"
-        pilot = HumanPilot(self._keyboard, self._task, seed=seed, origin=self._origin)
-        listeners: list[Listener] = [self._instruments]
+    check_loop(robot.system)
+    task = task.bind(robot.system)
+    for number in count(1):
+        seed, name = seed_of(number - 1), f"trial-{number}"
+        pilot = HumanPilot(keyboard, task, seed=seed, origin=origin)
+        listeners: list[Listener] = [instruments]
         try:
-            with self._robot.connect(seed=seed) as connection:
-                if self._recorder is not None:
-                    listeners.append(PreTriggerBuffer(pilot, partial(self._recorder, name, connection.gate_limits)))
-                self._instruments.begin(pilot, index + 1)
-                loop = ControlLoop(connection, self._robot.system, listeners=listeners, stop=self._stop)
-                report, limits = loop.run(pilot), connection.gate_limits
+            with robot.connect(seed=seed) as connection:
+                limits = connection.gate_limits
+                if recorder is not None:
+                    listeners.append(PreTriggerBuffer(pilot, partial(recorder, name, limits)))
+                instruments.begin(pilot, number)
+                report = ControlLoop(connection, robot.system, listeners=listeners, stop=stop).run(pilot)
         finally:
             pilot.end()
             for listener in listeners:
                 listener.close()
-        self._origin = pilot.origin
-        return HandTrial(index + 1, name, seed, pilot.fitness, pilot.trajectory(name), pilot.task_state, report, limits)
-
-    def _wanted(self) -> bool:
-        """Wait until the person asks for a new trial; return False if the session is stopped instead."""
-        while self._stop.reason is None:
-            if self._keyboard.take_new_trial():
-                return True
+        origin = pilot.origin
+        instruments.finish(pilot.fitness, report.sentence if report.reason.is_fault else "")
+        yield HandTrial(number, name, seed, pilot.fitness, pilot.trajectory(name), pilot.task_state, report, limits)
+        while stop.reason is None and not keyboard.take_new_trial():
             time.sleep(POLL)
-        return False
+        if stop.reason is not None:
+            return
 
 
 def check_driving_by_hand(robot: Robot, task: Task) -> None:
@@ -148,15 +124,15 @@ def driven_by_hand(
     recorder: Callable[[str, GateLimits], Listener] | None = None,
     tracker_origin: bool = False,
 ) -> Iterator[Iterator[HandTrial]]:
-    """Serve the page for driving ``robot`` at ``task`` by hand; yields the trials as they end, see `HandDriving`."""
+    """Serve the page for driving ``robot`` at ``task`` by hand; yields the trials as they end, see `hand_trials`."""
     keyboard = Keyboard(life=key_validity(robot.system))
     instruments = HandPanel(robot, task, keyboard)
     origin = np.zeros(robot.system.n_pose) if tracker_origin else None
-    driving = HandDriving(
-        robot, task, keyboard, instruments, seed_of=seed_of, stop=stop, recorder=recorder, origin=origin
-    )
+    check_loop(robot.system)
     with served(instruments, keyboard, address, stop=stop, announce=announce):
-        yield driving.trials()
+        yield hand_trials(
+            robot, task, keyboard, instruments, seed_of=seed_of, stop=stop, recorder=recorder, origin=origin
+        )
 
 
 class HumanPilot(Pilot):

@@ -69,16 +69,10 @@ class ToyCarDynamics(PlainDynamics):
             first, push = carry[0].tolist(), [0.0, 0.0] if noise is None else noise[0].tolist()
             end = car_step(first[:3], first[BODY:], first[3], first[4], push[0], push[1], self.coefficients)
             return np.array([[*end[:3], *first[5:BODY], *control[0].tolist(), *end[3:]]])
-        before = carry.T
-        after = np.empty((self.n_carry, len(carry)))
-        lanes: list[Lane] = list(before)
+        lanes: list[Lane] = list(carry.T)
         draws: list[Lane] = [0.0, 0.0] if noise is None else list(noise.T)
-        results = car_step(lanes[:3], lanes[BODY:], lanes[3], lanes[4], draws[0], draws[1], self.coefficients)
-        after[3 : BODY - 2] = before[5:BODY]
-        after[BODY - 2 : BODY] = control.T
-        for row, result in zip((*range(3), *range(BODY, self.n_carry)), results, strict=True):
-            after[row] = result
-        return after.T
+        end = car_step(lanes[:3], lanes[BODY:], lanes[3], lanes[4], draws[0], draws[1], self.coefficients)
+        return np.array([*end[:3], *lanes[5:BODY], *control.T, *end[3:]]).T
 
     def kernel(self) -> DynamicsKernel:
         return self.held_kernel(1)

@@ -94,6 +94,11 @@ def record_journals(
     total = sum(len(manoeuvre.controls) for manoeuvre in manoeuvres)
     done = 0
     stop = StopRequest() if stop is None else stop
+
+    def count(samples: int) -> None:
+        if progress is not None:
+            progress(done + samples, total)
+
     # Journals wait for the disk when they close, which may take longer than the time to live of a command.
     with ExitStack() as journals, ExitStack() as stack:
         connection: Connection | None = None
@@ -105,15 +110,14 @@ def record_journals(
                     connection = stack.enter_context(robot.connect(seed=int(own[0])))
             else:
                 rest = Manoeuvre("rest", np.tile(robot.system.neutral_control, (round(PAUSE / robot.system.dt), 1)))
-                report = _run(connection, robot, rest, (), stop)
+                report = _run(connection, robot, ManoeuvrePilot(rest), (), stop)
                 if report.reason.is_fault:
                     return report
-            on_decision = None if progress is None else _counter(progress, done, total)
             path = folder / f"{manoeuvre.name}{SUFFIX}"
             recorder = journals.enter_context(
                 Recorder(path, robot.system, robot=robot.name, limits=connection.gate_limits)
             )
-            report = _run(connection, robot, manoeuvre, (recorder,), stop, on_decision)
+            report = _run(connection, robot, ManoeuvrePilot(manoeuvre, count), (recorder,), stop)
             if recorder.problem is not None:
                 raise InvalidData(f"the recording has gaps, {recorder.lost} records are lost: {recorder.problem}")
             if report.reason.is_fault:
@@ -136,25 +140,10 @@ class ManoeuvrePilot(Pilot):
 
 
 def _run(
-    connection: Connection,
-    robot: Connectable,
-    manoeuvre: Manoeuvre,
-    listeners: Sequence[Recorder],
-    stop: StopRequest,
-    on_decision: Callable[[int], None] | None = None,
+    connection: Connection, robot: Connectable, pilot: Pilot, listeners: Sequence[Recorder], stop: StopRequest
 ) -> LoopReport:
-    loop = ControlLoop(
-        connection,
-        robot.system,
-        listeners=listeners,
-        estimator=NewestPoseEstimator(robot.system),
-        stop=stop,
-    )
-    return loop.run(ManoeuvrePilot(manoeuvre, on_decision))
-
-
-def _counter(progress: Progress, done: int, total: int) -> Callable[[int], None]:
-    return lambda samples: progress(done + samples, total)
+    estimator = NewestPoseEstimator(robot.system)
+    return ControlLoop(connection, robot.system, listeners=listeners, estimator=estimator, stop=stop).run(pilot)
 
 
 def read_logs(folder: Path, names: Iterable[str], limits: GateLimits | None = None) -> list[RawLog]:

@@ -61,22 +61,6 @@ class DriftCar(SimulatorRobot):
         check_integer("robot drift_car: vehicle", vehicle, minimum=1, maximum=3)
         check_number("robot drift_car: dt", dt, above=0.0)
         check_installed("robot 'drift_car'", self.requires)
-        super().__init__(DriftCarSimulator.describe(model, vehicle, dt))
-
-
-@dataclass(frozen=True)
-class DriftCarSimulator(ExternalSimulator):
-    """A ``vehicle`` with its ``parameters`` of the package, simulated by ``model``."""
-
-    name: str
-    system: System
-    model: str
-    vehicle: int
-    parameters: Any
-
-    @classmethod
-    def describe(cls, model: str, vehicle: int, dt: float) -> DriftCarSimulator:
-        """Return the simulator of a vehicle; the limits of its controls are its own."""
         parameters = _function(f"parameters_vehicle{vehicle}")()
         steering, most = parameters.steering, min(STRONGEST, float(parameters.longitudinal.a_max))
         states = (
@@ -92,7 +76,19 @@ class DriftCarSimulator(ExternalSimulator):
             Channel("steering", "rad", float(steering.min), float(steering.max), description="commanded angle"),
         )
         name = f"{model} car {vehicle}"
-        return cls(name, System(states, controls, dt, PlanarBody(), name), model, vehicle, parameters)
+        system = System(states, controls, dt, PlanarBody(), name)
+        super().__init__(DriftCarSimulator(name, system, model, vehicle, parameters))
+
+
+@dataclass(frozen=True)
+class DriftCarSimulator(ExternalSimulator):
+    """A ``vehicle`` with its ``parameters`` of the package, simulated by ``model``."""
+
+    name: str
+    system: System
+    model: str
+    vehicle: int
+    parameters: Any
 
     def open(self) -> DriftCarSession:
         return DriftCarSession(self)

@@ -62,15 +62,34 @@ class GymnasiumRobot(SimulatorRobot):
     ) -> None:
         check_text("robot gymnasium: id", id)
         check_installed("robot 'gymnasium'", self.requires)
-        angle = None if angle is None else str(angle)
-        further = ({} if angle is None else {"angle": angle}) | ({"settings": dict(settings)} if settings else {})
+        angle, settings = None if angle is None else str(angle), dict(settings or {})
+        further = ({} if angle is None else {"angle": angle}) | ({"settings": settings} if settings else {})
         inside = Spec("", further).text.removeprefix("(").removesuffix(")")
         self.default_task = f'environment(id="{id}"{", " if further else ""}{inside})'
-        super().__init__(
-            GymnasiumSimulator.describe(
-                id, angle=angle, channels=channels, controls=controls, dt=dt, settings=dict(settings or {})
-            )
-        )
+        what, known = f"robot gymnasium({id})", KNOWN.get(id)
+        env = make_environment(id, settings)
+        try:
+            found, seen = found_angles(what, env) if known is None else (known.angle, np.empty(0))
+            given = found if angle is None else angle
+            observations, states = observation_map(what, env.observation_space, given)
+            if known is None:
+                states = tuple(_reached(*one) for one in zip(states, observations.state(seen).T, strict=True))
+            actions = control_channels(what, env.action_space)
+            if known is not None and given == known.angle:
+                states, actions = known.states, known.controls
+            if channels:
+                states = named_channels(f"{what}: channels", channels, states)
+            if controls:
+                actions = named_channels(f"{what}: controls", controls, actions)
+            step = _dt(env) if dt is None else check_number(f"{what}: dt", dt, above=0.0)
+            system = System(states, actions, step, name=id)
+            way = AttributeState() if known is not None else state_setter(id, settings, observations)
+            setter = way if isinstance(way, StateSetter) else None
+            taken = ActionMap(env.action_space, actions)
+            settable = setter is not None
+            super().__init__(GymnasiumSimulator(id, settings, system, observations, taken, setter, settable))
+        finally:
+            env.close()
 
 
 @dataclass(frozen=True)
@@ -88,42 +107,6 @@ class GymnasiumSimulator(ExternalSimulator):
     setter: StateSetter | None
     settable: bool
     rewarded: ClassVar[bool] = True
-
-    @classmethod
-    def describe(
-        cls,
-        name: str,
-        *,
-        angle: str | None,
-        channels: str,
-        controls: str,
-        dt: float | None,
-        settings: Mapping[str, Any],
-    ) -> GymnasiumSimulator:
-        """Make the environment once, read its spaces, and close it. The arguments are those of `GymnasiumRobot`."""
-        what, known = f"robot gymnasium({name})", KNOWN.get(name)
-        env = make_environment(name, settings)
-        try:
-            found, seen = found_angles(what, env) if known is None else (known.angle, np.empty(0))
-            given = found if angle is None else angle
-            observations, states = observation_map(what, env.observation_space, given)
-            if known is None:
-                states = tuple(_reached(*one) for one in zip(states, observations.state(seen).T, strict=True))
-            actions = control_channels(what, env.action_space)
-            if known is not None and given == known.angle:
-                states, actions = known.states, known.controls
-            if channels:
-                states = named_channels(f"{what}: channels", channels, states)
-            if controls:
-                actions = named_channels(f"{what}: controls", controls, actions)
-            step = _dt(env) if dt is None else check_number(f"{what}: dt", dt, above=0.0)
-            system = System(states, actions, step, name=name)
-            way = AttributeState() if known is not None else state_setter(name, settings, observations)
-            setter = way if isinstance(way, StateSetter) else None
-            taken = ActionMap(env.action_space, actions)
-            return cls(name, settings, system, observations, taken, setter, settable=setter is not None)
-        finally:
-            env.close()
 
     def open(self) -> GymnasiumSession:
         return GymnasiumSession(self)

@@ -45,10 +45,22 @@ class MujocoRobot(SimulatorRobot):
     def __init__(self, *, file: str = "robot.xml", dt: float | None = None) -> None:
         check_text("robot mujoco: file", file)
         check_installed("robot 'mujoco'", self.requires)
-        simulator = MujocoSimulator.describe(file, dt)
-        first = simulator.system.states[0].name
-        self.default_task = "hover" if simulator.free is not None else f"set_point(channels={first})"
-        super().__init__(simulator)
+        mujoco = import_module("mujoco")
+        what = f"robot mujoco({file})"
+        try:
+            model: Any = mujoco.MjModel.from_xml_path(str(Path(file).expanduser()))
+        except ValueError as error:
+            raise InvalidArgument(f"{what}: MuJoCo cannot read it: {error}") from error
+        start = np.array(model.key_qpos[0] if model.nkey else model.qpos0)
+        states, free, joints = _joints(what, model, start)
+        timestep = float(model.opt.timestep)
+        repeats = max(1, round((STEP if dt is None else check_number(f"{what}: dt", dt, above=0.0)) / timestep))
+        if dt is not None and not np.isclose(repeats * timestep, dt, rtol=1e-6):
+            raise InvalidArgument(f"{what}: dt: expected a multiple of its time step, {timestep:g} s, got {dt:g} s")
+        motion, name = None if free is None else RigidBody(), Path(file).stem
+        system = System(states, _actuators(what, model), repeats * timestep, motion, name)
+        self.default_task = "hover" if free is not None else f"set_point(channels={states[0].name})"
+        super().__init__(MujocoSimulator(name, system, model, repeats, start, free, joints))
 
 
 @dataclass(frozen=True)
@@ -73,25 +85,6 @@ class MujocoSimulator(ExternalSimulator):
     start: Array
     free: Joint | None
     joints: tuple[Joint, ...]
-
-    @classmethod
-    def describe(cls, file: str, dt: float | None) -> MujocoSimulator:
-        """Read the file. The arguments are those of `MujocoRobot`."""
-        mujoco = import_module("mujoco")
-        what = f"robot mujoco({file})"
-        try:
-            model: Any = mujoco.MjModel.from_xml_path(str(Path(file).expanduser()))
-        except ValueError as error:
-            raise InvalidArgument(f"{what}: MuJoCo cannot read it: {error}") from error
-        start = np.array(model.key_qpos[0] if model.nkey else model.qpos0)
-        states, free, joints = _joints(what, model, start)
-        timestep = float(model.opt.timestep)
-        repeats = max(1, round((STEP if dt is None else check_number(f"{what}: dt", dt, above=0.0)) / timestep))
-        if dt is not None and not np.isclose(repeats * timestep, dt, rtol=1e-6):
-            raise InvalidArgument(f"{what}: dt: expected a multiple of its time step, {timestep:g} s, got {dt:g} s")
-        motion, name = None if free is None else RigidBody(), Path(file).stem
-        system = System(states, _actuators(what, model), repeats * timestep, motion, name)
-        return cls(name, system, model, repeats, start, free, joints)
 
     def open(self) -> MujocoSession:
         return MujocoSession(self)

@@ -58,21 +58,6 @@ class Quadrotor(SimulatorRobot):
         check_number("robot quadrotor: rate_gain", gain, above=0.0)
         check_number("robot quadrotor: dt", dt, above=0.0)
         check_installed("robot 'quadrotor'", self.requires)
-        super().__init__(QuadrotorSimulator.describe(vehicle, command, gain, dt))
-
-
-@dataclass(frozen=True)
-class QuadrotorSimulator(ExternalSimulator):
-    """A vehicle with these ``parameters`` of rotorpy; ``command`` as for `Quadrotor`."""
-
-    name: str
-    system: System
-    command: str
-    parameters: Mapping[str, Any]
-
-    @classmethod
-    def describe(cls, vehicle: str, command: str, gain: float, dt: float) -> QuadrotorSimulator:
-        """Return the simulator of a vehicle, without noise of its motors."""
         parameters = {**_parameters(vehicle), "k_w": gain, "motor_noise_std": 0.0}
         weight, motion = parameters["mass"] * GRAVITY, RigidBody()
         if command == "motors":
@@ -84,7 +69,18 @@ class QuadrotorSimulator(ExternalSimulator):
                 *(Channel(f"{axis}_command", "rad/s", *limits) for axis in ("roll", "pitch", "yaw")),
             ]
         states = rigid_body_states(motion, speed=FASTEST, rate=FASTEST_TURN)
-        return cls(vehicle, System(states, controls, dt, motion, vehicle), command, parameters)
+        system = System(states, controls, dt, motion, vehicle)
+        super().__init__(QuadrotorSimulator(vehicle, system, command, parameters))
+
+
+@dataclass(frozen=True)
+class QuadrotorSimulator(ExternalSimulator):
+    """A vehicle with these ``parameters`` of rotorpy, without noise of its motors; ``command`` as for `Quadrotor`."""
+
+    name: str
+    system: System
+    command: str
+    parameters: Mapping[str, Any]
 
     def open(self) -> QuadrotorSession:
         return QuadrotorSession(self)

@@ -46,7 +46,7 @@ def record_simulator(simulator: ExternalSimulator, duration: float, job: Recordi
     try:
         with simulator.open() as session:
             for name in SCRIPTS:
-                script = _script(name, simulator, episodes, tried, rng.spawn(1)[0])
+                script = _script(name, system, [episode.states for episode in episodes], tried, rng.spawn(1)[0])
                 made = enumerate(_episodes(session, simulator, script, each, rng, counter, stop), start=1)
                 for count, (states, controls, rewards, ending) in made:
                     done += len(controls)
@@ -90,19 +90,13 @@ def samples_each(simulator: ExternalSimulator, duration: float) -> int:
 
 
 def _script(
-    name: str,
-    simulator: ExternalSimulator,
-    episodes: list[Trajectory],
-    tried: list[tuple[int, Array]],
-    rng: np.random.Generator,
+    name: str, system: System, seen: list[Array], tried: list[tuple[int, Array]], rng: np.random.Generator
 ) -> ExcitationScript:
-    system = simulator.system
     kind, _, which = name.partition("-")
     if kind == "steps":
         return RandomSteps(system, float(which), rng)
     if kind == "sweep":
         return SineSweep(system, rng)
-    seen = [episode.states for episode in episodes]
     return RandomFeedback(system, np.concatenate(seen) if seen else system.neutral_state[None], tried, rng)
 
 

@@ -151,18 +151,12 @@ class TorchOde(DynamicsModel):
 
     def _equation(self, tolerance: float) -> Equation:
         """Return the equation with a new module. Raises `ShapeError` if its outputs have another shape."""
-        from model_zoo.networks.torch_training import Equation  # loads torch
+        import torch
+
+        from model_zoo.networks.torch_training import Equation
 
         n_inputs, nx = Features(self.system, self.lags).n_carry + self.system.nu, self.system.nx
-        return Equation.of(
-            self.module(n_inputs, nx),
-            self.system,
-            self.layout,
-            centre=self.centre_,
-            scale=self.scale_,
-            rates=self.rates_,
-            solver=self.solver,
-            adjoint=self.adjoint,
-            tolerance=tolerance,
-            owner=type(self).__name__,
-        )
+        centre, scale, rates = (torch.tensor(part) for part in (self.centre_, self.scale_, self.rates_))
+        module = self.module(n_inputs, nx).double()
+        found = Equation(module, self.system, self.layout, centre, scale, rates, self.solver, self.adjoint, tolerance)
+        return found.checked(type(self).__name__)

@@ -112,35 +112,16 @@ class Equation:
     adjoint: bool
     tolerance: float
 
-    @classmethod
-    def of(
-        cls,
-        module: torch.nn.Module,
-        system: System,
-        layout: CarryLayout,
-        *,
-        centre: Array,
-        scale: Array,
-        rates: Array,
-        solver: str,
-        adjoint: bool,
-        tolerance: float,
-        owner: str,
-    ) -> Self:
-        """Return the equation of the ``module`` of the class ``owner``, which is converted to float64.
-
-        Raises `ShapeError` if its outputs do not have the shape (B, nx).
-        """
-        n_inputs, nx = len(centre), system.nx
-        module = module.double()
+    def checked(self, owner: str) -> Self:
+        """Return this equation; raise `ShapeError` if outputs of the module of ``owner`` are not of shape (B, nx)."""
+        n_inputs, nx = len(self.centre), self.system.nx
         with torch.no_grad():
-            shape = tuple(module.eval()(torch.zeros(2, n_inputs, dtype=torch.float64)).shape)
+            shape = tuple(self.module.eval()(torch.zeros(2, n_inputs, dtype=torch.float64)).shape)
         if shape != (2, nx):
             raise ShapeError(
                 f"{owner}.module: expected a module that turns (2, {n_inputs}) into (2, {nx}), got {shape}"
             )
-        numbers = torch.tensor(centre), torch.tensor(scale), torch.tensor(rates)
-        return cls(module, system, layout, *numbers, solver, adjoint, tolerance)
+        return self
 
     def with_weights(self, weights: Mapping[str, Array]) -> Self:
         """Return this equation, its module ready to simulate with these weights."""

@@ -123,10 +123,6 @@ class EstimationProblem:
             report()
         return trained
 
-    def at_length(self, trained: Trained) -> Trained:
-        """Return a training on short simulations with the initial states of long ones."""
-        return replace(trained, starts=self.states(trained, self.short)[:, self.long.begins])
-
     def observers(self, trained: Trained) -> list[StateObserver]:
         """Return an observer of every space of a training on long simulations."""
         runs, outputs = self.states(trained, self.long), self.long.rows(self.long.outputs)

@@ -219,8 +219,6 @@ class NonlinearStateSpace(NetworkStateSpace):
     ``gated=False`` skips this test. ``fit_note`` reports the outcome.
     """
 
-    knowledge = "black"
-
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {
             "members": 3,
@@ -245,8 +243,6 @@ class LatentOde(NetworkStateSpace):
     and parameters are those of nonlinear_state_space, with derivatives through the Runge-Kutta steps. The observer,
     with the gain K of a Kalman predictor, also estimates the first state from the last samples.
     """
-
-    knowledge = "black"
 
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {
@@ -285,8 +281,9 @@ def best_networks(trained: Trained, problem: EstimationProblem, count: int) -> T
 
 def from_history(trained: Trained, problem: EstimationProblem) -> float:
     """Return the lowest criterion of networks on long simulations that start from the observer's estimate."""
-    long = trained if trained.starts.shape[1] == len(problem.long) else problem.at_length(trained)
-    return float(criterion(problem.assessed(long)[1], trained.spaces, problem).min())
+    if trained.starts.shape[1] != len(problem.long):  # the training was on short simulations
+        trained = replace(trained, starts=problem.states(trained, problem.short)[:, problem.long.begins])
+    return float(criterion(problem.assessed(trained)[1], trained.spaces, problem).min())
 
 
 def criterion(errors: Array, spaces: StateSpaceBatch, problem: EstimationProblem) -> Array:

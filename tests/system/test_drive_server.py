@@ -23,7 +23,7 @@ from evaluation.experiment import FILE, Experiment
 from evaluation.transfer.matrix import load_measured, transfer_seeds
 from hardware.connection import GateLimits
 from hardware.driving import server
-from hardware.driving.hand_driving import HandDriving, HandPanel, HandTrial
+from hardware.driving.hand_driving import HandPanel, HandTrial, hand_trials
 from hardware.driving.keyboard import HOLD, Keyboard, key_validity
 from hardware.driving.page_messages import FORWARD, LEFT, Phase
 from hardware.driving.server import PageAddress, PageServer, check_page
@@ -258,12 +258,12 @@ def test_losing_the_page_means_neutral_within_150_ms(desk, lose):
     stops, diary = StopRequest(), Diary()
     typist = Typist(desk, stops, lose)
     thread = threading.Thread(target=typist.type)
-    driving = HandDriving(
+    driving = hand_trials(
         desk.robot, desk.task, desk.keyboard, desk.instruments,
         seed_of=lambda index: index, stop=stops, recorder=lambda *_: diary,
     )  # fmt: skip
     thread.start()
-    trials = list(driving.trials())
+    trials = list(driving)
     thread.join()
     assert [trial.fitness for trial in trials] == [None]
     driven = [command.time for command in diary.commands if command.control.any()]

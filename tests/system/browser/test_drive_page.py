@@ -12,7 +12,7 @@ from playwright.sync_api import Error, expect
 
 from hardware.connection import Listener
 from hardware.driving.controller_driving import ControllerPanel, readings
-from hardware.driving.hand_driving import HandDriving, HandPanel
+from hardware.driving.hand_driving import HandPanel, hand_trials
 from hardware.driving.keyboard import HOLD, Keyboard, key_validity
 from hardware.driving.page_messages import Phase, as_text, keys_message
 from hardware.driving.server import PageServer
@@ -55,7 +55,7 @@ class Session(Listener):
         instruments = HandPanel(self.robot, task, keyboard)
         self.page = PageServer(instruments, keyboard, host="127.0.0.1", port=0, on_server_end=lambda _: None)
         options = {"seed_of": lambda index: index, "stop": self.stops, "recorder": lambda *_: self}
-        self._driving = HandDriving(self.robot, task, keyboard, instruments, **options)
+        self._driving = hand_trials(self.robot, task, keyboard, instruments, **options)
         self._thread = threading.Thread(target=self._drive)
         self._thread.start()
 
@@ -78,7 +78,7 @@ class Session(Listener):
         return max(0.0, float(np.diff(sent).max()) - self.robot.system.dt)
 
     def _drive(self):
-        for trial in self._driving.trials():
+        for trial in self._driving:
             self.trials.append(trial)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hardware.control_loop import SLOWEST
-from hardware.driving.hand_driving import HandDriving, HandPanel, check_driving_by_hand
+from hardware.driving.hand_driving import HandPanel, check_driving_by_hand, hand_trials
 from hardware.driving.keyboard import Keyboard
 from hardware.driving.trials import RobotRunner
 from hardware.preflight import check_driving, check_recording
@@ -76,7 +76,7 @@ def test_a_robot_that_is_too_slow_is_refused_by_everything_that_drives_before_it
         lambda: record_journals(robot, [Manoeuvre("rest", np.zeros((9, 2)))], tmp_path, seed=0),
         lambda: RobotRunner(robot).bind(RecurrentNetwork(), task)(np.zeros((1, 78)), np.zeros(1, dtype=np.uint64)),
         lambda: self_test(robot),
-        lambda: HandDriving(robot, task, keyboard, instruments, seed_of=lambda index: index, stop=StopRequest()),
+        lambda: next(hand_trials(robot, task, keyboard, instruments, seed_of=lambda index: index, stop=StopRequest())),
     ):
         with pytest.raises(IncompatibleSystem, match=r"dt of at most 0\.1 s, got 0\.2 s.*valid for 0\.15 s"):
             drive()
