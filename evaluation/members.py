@@ -9,9 +9,9 @@ from typing import Any
 
 from evaluation.cells.models import Predict, StoredModelCell
 from evaluation.cells.plants import Plant, emulated, runner_of
-from evaluation.experiment import FILE, Experiment, default_task
+from evaluation.experiment import FILE, default_task
 from evaluation.planning import comparison_of
-from evaluation.run_folder import is_run, latest_run_folder, run_of_controller
+from evaluation.run_folder import is_run, latest_run_folder, run_of_controller, stored_settings
 from evaluation.transfer.matrix import TransferMatrix, transfer_seeds, try_controller
 from sysid_evo.artefacts import is_stored_artefact, stored_file
 from sysid_evo.controllers.controller import make_controller
@@ -248,7 +248,7 @@ def find_column(store: Store, name: str) -> Plant:
 def column_of(store: Store, record: CellRecord) -> Plant:
     """Return the model of a run as a column, with the cell of its prediction error on held-out data."""
     model, family = stored(record), record.inputs["model"]["name"]
-    times = Experiment.read(store.path).get("step_seconds", {}) if (store.path / FILE).is_file() else {}
+    times = stored_settings(store.path).get("step_seconds", {})
     slow = next((seconds for text, seconds in times.items() if Spec.parse(text).label == record.name), 0.0)
     data = data_of(store, record)
     if data is None or not any(data.settings.inputs()["split"].values()):

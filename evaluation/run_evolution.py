@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from evaluation.advice.evidence import Remark
 from evaluation.advice.regions import driven_outside
@@ -21,7 +20,7 @@ from evaluation.cells.controllers import (
 from evaluation.cells.learned_task import LearnTask, learning_cell
 from evaluation.cells.plants import Plant
 from evaluation.cells.slow_models import slow_remarks
-from evaluation.experiment import FILE, Experiment, with_task
+from evaluation.experiment import Experiment, with_task
 from evaluation.exploitability.assessment import assess_exploitability
 from evaluation.exploitability.results import ModelExploitability
 from evaluation.formatting import with_interval
@@ -35,7 +34,7 @@ from evaluation.members import (
     system_of,
 )
 from evaluation.prediction.scores import forecast_error
-from evaluation.run_folder import run_of_controller
+from evaluation.run_folder import run_of_controller, stored_settings
 from evaluation.steps import Steps
 from evaluation.transfer.forecast import Forecast, forecasts
 from evaluation.transfer.matrix import TransferMatrix, TransferResult, transfer, transfer_seeds
@@ -105,7 +104,7 @@ def plan_evolution(experiment: Experiment, store: Store, members: Sequence[str])
     """
     columns = tuple(find_column(store, member) for member in members)
     robots = [column.robot for column in columns]
-    task = experiment.task or _settings(store).get("task")
+    task = experiment.task or stored_settings(store.path).get("task")
     experiment = with_task(experiment.model_copy(update={"task": task}), robots)
     robot = next(filter(None, robots), None)
     experiment = with_starts(experiment, system_of(store, columns[0]), robot)
@@ -131,14 +130,9 @@ def plan_evolution(experiment: Experiment, store: Store, members: Sequence[str])
     return EvolutionPlan(columns, champion, claims, elsewhere, plan, remarks)
 
 
-def _settings(store: Store) -> Mapping[str, Any]:
-    """Return the settings of the run in ``store``; none if there are none, as in a folder that `evolve` made."""
-    return Experiment.read(store.path) if (store.path / FILE).is_file() else {}
-
-
 def _learned(experiment: Experiment, store: Store) -> Cell[LearnTask] | None:
     """Return the cell in which the task learns its reward from the data of the run in ``store``."""
-    record = store.find(_settings(store).get("data_digest", ""))
+    record = store.find(stored_settings(store.path).get("data_digest", ""))
     data = None if record is None else stored(record)
     task = evolution_settings(experiment).task
     return None if data is None else learning_cell(task, experiment.search_minutes, data)

@@ -42,9 +42,13 @@ def is_run(folder: Path) -> bool:
 
 def seed_of_run(run: Path | None) -> int:
     """Return the seed of the experiment in a run folder, 0 if there is none, so that all use the same trials."""
-    if run is None or not (run / FILE).is_file():
-        return 0
-    return Experiment.of(Experiment.read(run)).seed
+    seed: int = 0 if run is None else stored_settings(run).get("seed", 0)
+    return seed
+
+
+def stored_settings(folder: Path) -> dict[str, Any]:
+    """Return the settings of the experiment in a folder, none if it has none. Raises `InvalidArgument`."""
+    return Experiment.read(folder) if (folder / FILE).is_file() else {}
 
 
 CHOSEN = "recommended"
@@ -83,9 +87,8 @@ def store_of_run(run: Path) -> Store:
 
 
 def settings_of_run(run: Path) -> dict[str, Any]:
-    """Return the settings of the experiment in a run folder, none if it has none. Raises `InvalidArgument`."""
-    store_of_run(run)
-    return Experiment.read(run) if (run / FILE).is_file() else {}
+    """Return `stored_settings`. Raises `InvalidArgument` if ``run`` is no run folder."""
+    return stored_settings(store_of_run(run).path)
 
 
 def summary_of_run(run: Path) -> dict[str, Any]:

@@ -45,14 +45,14 @@ class HoldOut:
 
         Stretches in which commands have no effect are left out, unless the test episodes are named.
         """
-        dataset = dataset if self.episodes is not None else without_dead_stretches(dataset)
-        if self.episodes is None and self.share == 0.0:
-            return SplitDataset(dataset, None)
         if self.episodes is not None:
             try:
                 return SplitDataset(*dataset.split(self.episodes))
             except InvalidArgument as error:
                 raise InvalidArgument(f"test: {str(error).removeprefix('split: ')}") from error
+        dataset = without_dead_stretches(dataset)
+        if self.share == 0.0:
+            return SplitDataset(dataset, None)
         return SplitDataset(*dataset.split(whole_episodes(dataset, self.share) or self.share))
 
 

@@ -132,8 +132,7 @@ def mark_series(figure: Figure) -> None:
 
 def legend_of(figure: Figure) -> tuple[LegendEntry, ...]:
     """Return an entry for each series of a figure."""
-    keys = {series.name: series.key for ax in figure.axes for series in series_of(ax)}
-    return tuple(keys[name] for name in names_of(figure))
+    return tuple({series.name: series.key for ax in figure.axes for series in series_of(ax)}.values())
 
 
 def _error_bars(ax: Axes) -> list[ErrorbarContainer]:

@@ -140,11 +140,8 @@ def error_table(prediction: Prediction) -> TableElement:
 
 
 def _heads(prediction: Prediction, horizons: Sequence[int | None]) -> list[str]:
-    return [_length(horizon, prediction).replace(" (", "\n(").replace("whole ", "whole\n") for horizon in horizons]
-
-
-def _length(horizon: int | None, prediction: Prediction) -> str:
-    return horizon_name(horizon, prediction.cases.system.dt)
+    names = [horizon_name(horizon, prediction.cases.system.dt) for horizon in horizons]
+    return [name.replace(" (", "\n(").replace("whole ", "whole\n") for name in names]
 
 
 def _n_cell(prediction: Prediction, model: ModelPrediction, horizon: int | None) -> str:
@@ -268,7 +265,7 @@ def state_error_table(prediction: Prediction, horizon: int | None) -> TableEleme
     protocol = prediction.cases.protocol
     begin = f"{protocol.first} of each episode" if horizon is None else protocol.history_in_words
     return TableElement(
-        title=f"Error of each state, {_length(horizon, prediction)}",
+        title=f"Error of each state, {horizon_name(horizon, system.dt)}",
         columns=("model", *heads),
         rows=tuple(rows),
         note=(
@@ -352,7 +349,7 @@ def headline(report: ComparisonResults) -> Answer:
         return Answer(question, "Not known", (few_data, lowest))
     between = " to ".join(map(three_digits, score.estimate.interval))
     size = f"{three_digits(score.n)} ({between})"
-    where = "Over whole episodes" if horizon is None else f"After {_length(horizon, prediction)}"
+    where = "Over whole episodes" if horizon is None else f"After {horizon_name(horizon, prediction.cases.system.dt)}"
     good = [model.name for model in models if predicts(prediction, model, horizon)]
     if not good:
         if score.n >= USELESS:
