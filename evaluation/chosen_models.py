@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any
 
 from evaluation.experiment import Experiment
@@ -17,6 +18,8 @@ OTHER_FAMILIES = (*PAPER_FAMILIES, "sindy", "narx", "mlp_ensemble")
 """Families that are compared by default; with the preset ``paper`` only those of the paper."""
 TURNING_FAMILIES = ("backprop27", "nearest_neighbour", "sindy", "narx", "mlp_ensemble")
 """Default families if a state is periodic: those that predict well on the emulated pendulum and cart-pole."""
+SCORING_FAMILIES = ("gaussian_process", "nonlinear_state_space")
+"""Families that score controllers by default without one of their own: their errors are not those of the others."""
 DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_neighbour", "parametrised"))
 """The two multi-model controllers of the paper, mm1c and, as far as its text describes it, mm2c."""
 
@@ -49,6 +52,32 @@ def models_of(experiment: Experiment, system: System, remarks: list[str]) -> tup
     if not found:
         raise InvalidArgument(f"none of the default families can be compared here: {'; '.join(remarks)}")
     return tuple(found)
+
+
+def scoring_models_of(experiment: Experiment, system: System) -> tuple[Spec, ...]:
+    """Return the specs of models that only score controllers, none if the models are named.
+
+    A state space with hidden states predicts badly where rates are states, as those of bodies and of angles are.
+    """
+    if experiment.models is not None or experiment.stop_after is not None or experiment.preset == "paper":
+        return ()
+    found = []
+    for name in SCORING_FAMILIES[:1] if system.motion is not None or system.periods else SCORING_FAMILIES:
+        with suppress(MissingExtra, IncompatibleSystem):
+            found.append(_usable(Spec(name), experiment.preset, system))
+    return tuple(found)
+
+
+def searched_of(experiment: Experiment, labels: tuple[str, ...]) -> tuple[str, ...]:
+    """Return which models of these ``labels`` controllers are evolved in; the others only score.
+
+    Raises `InvalidArgument` if the experiment names others, or none.
+    """
+    searched = labels if experiment.searched is None else experiment.searched
+    if not searched or not set(searched) <= set(labels):
+        got = ", ".join(searched) or "none"
+        raise InvalidArgument(f"searched: expected some of the models {', '.join(labels)}, got {got}")
+    return tuple(label for label in labels if label in searched)
 
 
 def _usable(spec: Spec, preset: str, system: System) -> Spec:

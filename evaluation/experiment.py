@@ -133,7 +133,7 @@ class Experiment(BaseModel):
         None, "Share of the episodes of a round with this noise; the others alone are compared", ge=0.0, le=1.0
     )
     max_steps: Positive = setting(20_000, "Most steps recorded in all rounds")
-    searched: tuple[str, ...] | None = setting(None, "Models in which rounds search; the others only score")
+    searched: tuple[str, ...] | None = setting(None, "Models in which controllers are evolved; the others only score")
     preset: Literal["quick", "standard", "paper"] = setting(
         "quick", "Budget: quick, standard or paper", "Budget", "NAME"
     )

@@ -28,7 +28,17 @@ from evaluation.cells.plants import SLOW, Plant, runner_of, steps_in
 from evaluation.cells.rounds import ChooseRound, Round, RoundData, default_rounds, last_round, trials_end_early
 from evaluation.cells.slow_models import slow_remarks, times_of_steps
 from evaluation.cells.slow_robots import has_reference, robot_trials
-from evaluation.chosen_models import ALL, ensembles_of, made, made_model, models_of, requested_models, without_preset
+from evaluation.chosen_models import (
+    ALL,
+    ensembles_of,
+    made,
+    made_model,
+    models_of,
+    requested_models,
+    scoring_models_of,
+    searched_of,
+    without_preset,
+)
 from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, FILE, Experiment, check_settings, with_rounds, with_task
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
 from evaluation.prediction.scores import PERSISTENCE
@@ -122,9 +132,17 @@ def plan_comparison(
     _constructible(evolution)
     first = data = held[0] if held is not None else _data(experiment, robot, dataset, whole=in_rounds)
     specs = models_of(experiment, system, remarks)
+    if scoring := scoring_models_of(experiment, system):
+        if experiment.searched is None:
+            experiment = experiment.model_copy(update={"searched": tuple(spec.label for spec in specs)})
+        specs = (*specs, *scoring)
+    searched = searched_of(experiment, tuple(spec.label for spec in specs))
     slow = _slow(experiment, specs, system, dataset, held is not None)
-    ensembles = ensembles_of(experiment, tuple(spec.label for spec in specs))
-    last = last_round(experiment, _robot_column(experiment, robot, system, []), first, specs) if in_rounds else None
+    ensembles = ensembles_of(experiment, searched)
+    last = None
+    if in_rounds:
+        inside = tuple(spec for spec in specs if spec.label in searched)
+        last = last_round(experiment, _robot_column(experiment, robot, system, []), first, inside)
     if last is not None:
         data = RoundData(last, HoldOut(experiment.test, experiment.held_out)).cell()
     fits = {spec.label: Fit(spec, data, experiment.seed, experiment.preset).cell() for spec in specs}
@@ -162,6 +180,7 @@ def plan_comparison(
             evolution,
             plants,
             column,
+            searched,
             ensembles,
             tuple(measured),
             _baselines(experiment, evolution, system, fits, learned),
@@ -432,6 +451,7 @@ def _matrix(
     evolution: ControllerEvolution,
     models: tuple[Plant, ...],
     robot: Plant | None,
+    searched: tuple[str, ...],
     ensembles: tuple[tuple[str, ...], ...],
     measured: tuple[MeasuredResult, ...],
     baselines: tuple[ControllerCell, ...],
@@ -446,8 +466,9 @@ def _matrix(
         raise InvalidArgument(_taken(robot.label, "the robot"))
     columns = models if robot is None else (*models, robot)
     groups: list[tuple[Plant, ...]] = []
+    inside = tuple(by_label[label] for label in searched)
     if last is None:
-        groups += [(column,) for column in models]
+        groups += [(column,) for column in inside]
         groups += [tuple(by_label[member] for member in members) for members in ensembles]
     if robot is not None and reference:
         groups.append((robot,))
@@ -457,12 +478,12 @@ def _matrix(
     champions: tuple[ControllerCell, ...] = evolved
     if experiment.budget.procedure == "recommended":
         champions = tuple(chosen_cell(experiment, (cell,), models) for cell in evolved)
-        if len(models) > 1:
+        if len(inside) > 1:
             several = tuple(cell for cell in evolved if len(cell.settings.members) > 1)
             champions += (
                 controller_cell(
                     experiment,
-                    models,
+                    inside,
                     scoring_models=models,
                     label=POLISHED,
                     accurate_only=True,

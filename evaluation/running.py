@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from evaluation.chosen_models import models_of
 from evaluation.experiment import FILE, Experiment, Settings
 from evaluation.planning import Comparison, check_experiment, plan_comparison
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
-from evaluation.prediction.scores import PERSISTENCE, ModelPrediction, Prediction
+from evaluation.prediction.scores import ModelPrediction, Prediction
 from evaluation.report.report import PrintedReport, save_report
 from evaluation.report.study import save_study
 from evaluation.results import ComparisonResults, DataSummary, Failure, ModelSummary
@@ -107,20 +107,22 @@ FURTHER_FAMILIES = ("linear", "k_neighbours", "gaussian_process", "nonlinear_sta
 def with_further_families(
     comparison: Comparison, store: Store, compute: Callable[[Plan], object], dataset: Dataset | None = None
 ) -> Comparison:
-    """Return ``comparison`` with a further family, if none of its own is better than predicting the mean.
+    """Return ``comparison`` with a further family, if none in which it evolves is better than predicting the mean.
 
     Fits and predictions of ``comparison`` are computed by ``compute``, then those of `FURTHER_FAMILIES` until one
-    predicts; ``tried_models`` of its experiment names them. Nothing is added if the test data do not suffice for a
-    decision, nor in rounds, which record and fit again. ``dataset`` is that of `plan_run`.
+    predicts; ``tried_models`` of its experiment names them. A model that only scored may be one. Nothing is added if
+    the test data do not suffice for a decision, nor in rounds, which record and fit again. ``dataset`` is that of
+    `plan_run`.
     """
     experiment = comparison.experiment
     if (experiment.rounds or 1) > 1:
         return comparison
-    known = [fit.settings.spec.name for fit in comparison.fits.values()]
+    searched = tuple(comparison.fits) if experiment.searched is None else experiment.searched
+    known = [comparison.fits[label].settings.spec.name for label in searched]
     further = [name for name in FURTHER_FAMILIES if name not in known]
     found, tried = comparison, list[str]()
     compute(_predictions_only(found))
-    while further and _none_predicts(found, store):
+    while further and _none_predicts(found, store, (*searched, *tried)):
         name = further.pop(0)
         system = store.outcome(found.data).value.training.system
         try:
@@ -134,8 +136,11 @@ def with_further_families(
         compute(_predictions_only(found))
     if not tried:
         return comparison
-    added = () if _none_predicts(found, store) else tried[-1:]
-    update = {"models": (*(experiment.models or ()), *added), "tried_models": tuple(tried)}
+    added = [] if _none_predicts(found, store, (*searched, *tried)) else tried[-1:]
+    new = (name for name in added if name not in comparison.fits)
+    update = {"models": (*(experiment.models or ()), *new), "tried_models": tuple(tried)}
+    if experiment.searched is not None:
+        update["searched"] = (*searched, *added)
     return plan_run(experiment.model_copy(update=update), store.path, dataset)[0]
 
 
@@ -143,13 +148,13 @@ def _predictions_only(comparison: Comparison) -> Plan:
     return Plan.of([comparison.data, *comparison.fits.values(), *comparison.predictions.values()])
 
 
-def _none_predicts(comparison: Comparison, store: Store) -> bool:
-    """Whether every model is known to be no better than the mean, at the horizon of the headline."""
+def _none_predicts(comparison: Comparison, store: Store, labels: Collection[str]) -> bool:
+    """Whether all models of these ``labels`` are known to be no better than the mean, at the headline's horizon."""
     prediction = None if store.outcome(comparison.data).value is None else _prediction(comparison, store)
     if prediction is None or not prediction.horizons:
         return False
     horizon = prediction.cases.main_horizon
-    models = [model for model in prediction.ranking(horizon) if model.name != PERSISTENCE]
+    models = [model for model in prediction.ranking(horizon) if model.name in labels]
     return tells_apart(prediction, horizon) and not any(beats_mean(model.score(horizon)) for model in models)
 
 

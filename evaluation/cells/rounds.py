@@ -369,12 +369,6 @@ def last_round(experiment: Experiment, robot: Plant | None, first: Cell, specs: 
     """
     if robot is None:
         raise InvalidArgument("rounds: expected a robot that is a program, such as an environment; give --robot")
-    labels = [spec.label for spec in specs]
-    searched = labels if experiment.searched is None else experiment.searched
-    if not searched or not set(searched) <= set(labels):
-        got = ", ".join(searched) or "none"
-        raise InvalidArgument(f"searched: expected some of the models {', '.join(labels)}, got {got}")
-    specs = tuple(spec for spec in specs if spec.label in searched)
     found: Cell[Round] | None = None
     count = experiment.rounds or 1
     for number in range(1, count + 1):

@@ -47,7 +47,8 @@ def compare(
     if stored.pop("data_digest", None) and not {"data", "robot"} & {*stored, *settings}:
         raise InvalidArgument(f"{config} was run on a data set given in Python: name its recordings with --data")
     if "models" in settings:
-        stored.pop("tried_models", None)  # those of the stored models
+        for name in ("tried_models", "searched"):  # those of the stored models
+            stored.pop(name, None)
     named = () if config is None else load_named_plugins(stored.get("plugins", ()), config)
     if "preset" in settings and stored:
         stored = evaluation.unsettled(stored)

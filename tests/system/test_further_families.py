@@ -93,6 +93,18 @@ def test_a_family_worse_than_no_change_and_a_linear_model_is_reported_after_its_
 
 
 @pytest.mark.usefixtures("useless_default")
+def test_a_model_that_only_scored_is_evolved_in_where_no_other_predicts(tmp_path, monkeypatch):
+    monkeypatch.setattr(chosen_models, "SCORING_FAMILIES", ("linear",))
+    experiment = Experiment.of({"held_out": 0.5, "task": "set_point(channels=position)"})
+    comparison, _ = plan_run(experiment, tmp_path, many_episodes())
+    assert (list(comparison.fits), comparison.experiment.searched) == ([FAR, "linear"], (FAR,))
+    store = Store(tmp_path)
+    found = with_further_families(comparison, store, lambda plan: execute(plan, store), many_episodes())
+    assert (list(found.fits), found.experiment.searched) == ([FAR, "linear"], (FAR, "linear"))
+    assert found.experiment.tried_models == ("linear",)
+
+
+@pytest.mark.usefixtures("useless_default")
 def test_families_that_were_tried_in_vain_are_named_and_left_out(tmp_path, monkeypatch):
     monkeypatch.setattr(running, "FURTHER_FAMILIES", ("far2=far",))
     assert settled(tmp_path) == ([FAR], ["far2=far"])

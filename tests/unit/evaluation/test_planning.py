@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from evaluation import chosen_models
 from evaluation.cells.controllers import Baseline, with_starts
 from evaluation.cells.data import HoldOut, whole_episodes
 from evaluation.experiment import Experiment, meaningful
@@ -19,6 +20,7 @@ from sysid_evo.system import Channel, System, rigid_body_states
 from sysid_evo.testing import ExampleDynamics, example_dataset
 from sysid_evo.testing.examples import pendulum, switched_car
 from tests.fixtures.known_models import recording
+from tests.fixtures.recordings import oscillator_data
 
 SHORT = {
     "generations": 2, "trials": 2, "selection_trials": 2, "transfer_trials": 3, "traces": 2, "held_out": 0.3,
@@ -74,6 +76,44 @@ def test_a_model_inside_a_controller_is_needed_by_it_and_its_label_is_no_part_of
     cells = [Baseline(Spec("lqr", {"model": n}), Spec("set_point"), switched_car(), {n: fit}).cell() for n in "ab"]
     assert cells[0].needs == (fit,)
     assert cells[0].digest == cells[1].digest
+
+
+def evolved_in(comparison):
+    """Return the models in which a comparison evolves, and those on which its controllers are run."""
+    evolved = {one.label for cell in comparison.plan.of_kind("evolve") for one in cell.settings.members}
+    polished = {one.label for cell in comparison.plan.of_kind("polish") for one in cell.settings.members}
+    assert polished <= evolved
+    return evolved, {cell.settings.column.label for cell in comparison.plan.of_kind("run")}
+
+
+@pytest.mark.parametrize(
+    ("dataset", "scoring"),
+    [
+        (example_dataset(), ["gaussian_process"]),
+        (swings([200, 200]), ["gaussian_process"]),
+        (oscillator_data(), ["gaussian_process", "nonlinear_state_space"]),
+    ],
+    ids=["rates of a body", "rate of an angle", "no rates"],
+)
+def test_by_default_other_families_score_controllers_without_one_of_their_own(monkeypatch, dataset, scoring):
+    for usual in ("OTHER_FAMILIES", "TURNING_FAMILIES"):
+        monkeypatch.setattr(chosen_models, usual, ("linear", "narx"))
+    task = {} if dataset.system.motion is not None else {"task": f"set_point(channels={dataset.system.state_names[0]})"}
+    asked = Experiment.of({**SHORT, "procedure": "recommended", **task})
+    comparison = plan_comparison(asked, dataset=dataset)
+    assert list(comparison.fits) == ["linear", "narx", *scoring]
+    assert evolved_in(comparison) == ({"linear", "narx"}, {"linear", "narx", *scoring})
+    repeated = plan_comparison(comparison.experiment, dataset=dataset)
+    assert [cell.digest for cell in repeated.plan] == [cell.digest for cell in comparison.plan]
+    for named in ({"models": ("linear", "narx")}, {"preset": "paper"}, {"stop_after": "fit"}):
+        settings = {**asked.model_dump(exclude_unset=True), **named} if "stop_after" not in named else named
+        other = plan_comparison(Experiment.of(settings), dataset=dataset)
+        assert not set(other.fits) & set(scoring)
+        assert other.experiment.searched is None
+    some = plan_comparison(asked.model_copy(update={"searched": ("narx", "gaussian_process")}), dataset=dataset)
+    assert evolved_in(some)[0] == {"narx", "gaussian_process"}
+    with pytest.raises(InvalidArgument, match=r"searched: expected some of the models linear, narx, .* got ghost"):
+        plan_comparison(asked.model_copy(update={"searched": ("ghost",)}), dataset=dataset)
 
 
 def noises_met(**changes):
