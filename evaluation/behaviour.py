@@ -33,10 +33,6 @@ class Measure:
     high: float
     trials: int
 
-    def differs(self, other: Measure) -> bool:
-        """True if the two intervals do not overlap."""
-        return self.low > other.high or self.high < other.low
-
 
 @dataclass(frozen=True)
 class DrivingSummary:
@@ -410,7 +406,7 @@ def _otherwise(here: DrivingSummary, other: DrivingSummary) -> str:
     found = []
     for name, one in other.measures.items():
         own = here.measures.get(name)
-        if own is None or not one.differs(own):
+        if own is None or not (one.low > own.high or one.high < own.low):
             continue
         size = abs(one.value - own.value)
         if unit_of(name):
