@@ -17,7 +17,7 @@ import hypothesis
 import numpy as np
 import pytest
 
-from sysid_evo.registry import KINDS
+from sysid_evo.registry.registry import KINDS
 from sysid_evo.testing import example_dataset
 from tests.fixtures import recordings as made
 

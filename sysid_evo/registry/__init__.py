@@ -1,33 +1,17 @@
 """Registries of named things, the grammar of their specifications, plugin files."""
 
-from sysid_evo.registry.grammar import Spec, check_labels, split_specs
-from sysid_evo.registry.plugins import (
-    load_named_plugins,
-    load_plugin,
-    load_plugins_again,
-    loaded_plugins,
-    source_digest,
-)
+from sysid_evo.registry.grammar import Spec, check_labels
+from sysid_evo.registry.plugins import load_named_plugins, load_plugin, load_plugins_again, loaded_plugins
 from sysid_evo.registry.registry import (
-    KINDS,
     Registry,
-    adapters,
     aggregates,
     controllers,
     make_robot,
     models,
-    motions,
     probes,
-    readers,
-    register_adapter,
-    register_aggregate,
-    register_controller,
-    register_model,
-    register_motion,
     register_probe,
     register_reader,
     register_robot,
-    register_strategy,
     register_task,
     register_tracker,
     robot_spec,
@@ -38,10 +22,8 @@ from sysid_evo.registry.registry import (
 )
 
 __all__ = [
-    "KINDS",
     "Registry",
     "Spec",
-    "adapters",
     "aggregates",
     "check_labels",
     "controllers",
@@ -51,24 +33,14 @@ __all__ = [
     "loaded_plugins",
     "make_robot",
     "models",
-    "motions",
     "probes",
-    "readers",
-    "register_adapter",
-    "register_aggregate",
-    "register_controller",
-    "register_model",
-    "register_motion",
     "register_probe",
     "register_reader",
     "register_robot",
-    "register_strategy",
     "register_task",
     "register_tracker",
     "robot_spec",
     "robots",
-    "source_digest",
-    "split_specs",
     "strategies",
     "tasks",
     "trackers",

@@ -98,7 +98,7 @@ def across_conditions(
 ) -> Table:
     """Return the coverage in the condition of the fit and in others: a row for each, and one after adaptation."""
     from evaluation.prediction.cases import PredictionProtocol, measured_cases
-    from sysid_evo.models.adaptation import NONE
+    from sysid_evo.models.adaptation.selection import NONE
     from tests.benchmarks.shift.recordings import cases
 
     found: dict[str, dict[str, list[str]]] = {}

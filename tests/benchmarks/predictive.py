@@ -28,7 +28,8 @@ from sysid_evo import (
     make_robot,
     make_task,
 )
-from sysid_evo.controllers import Controller, Pursuit, View
+from sysid_evo.controllers import Controller, View
+from sysid_evo.controllers.pursuit import Pursuit
 from sysid_evo.engine import rollout
 from sysid_evo.engine.imagined import Engine, ImaginedTrials
 from sysid_evo.models import Dynamics

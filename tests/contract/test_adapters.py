@@ -19,8 +19,9 @@ from sysid_evo import Adapter, ControllerEvolution, as_model, evolve_controller
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.models import load_model, save_model
 from sysid_evo.models.adapters import as_spec, model_texts
-from sysid_evo.registry import adapters, models
+from sysid_evo.registry import models
 from sysid_evo.registry.objects import keep_object, kept_object, objects_named, receive_objects
+from sysid_evo.registry.registry import adapters
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 

@@ -10,7 +10,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.errors import ContractViolation, IncompatibleSystem, IncompatibleTask, InvalidArgument, RegistrationError
 from sysid_evo.models import DynamicsModel, require_planar
 from sysid_evo.registry import Spec, make_robot, models, robots, tasks
-from sysid_evo.tasks import SetPoint
+from sysid_evo.tasks.references import SetPoint
 from sysid_evo.testing import (
     MODEL,
     check_adapter,

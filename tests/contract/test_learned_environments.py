@@ -18,7 +18,8 @@ from sysid_evo.cli.robots import reward_sentences
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.errors import IncompatibleTask
-from sysid_evo.evolution import ControllerEvolution, load_champion
+from sysid_evo.evolution import ControllerEvolution
+from sysid_evo.evolution.champion import load_champion
 from sysid_evo.evolution.margins import with_horizon
 from sysid_evo.models.base import make_model
 from sysid_evo.plan import Cell, Store

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from sysid_evo.cli.app import app
 from sysid_evo.errors import InvalidArgument, SysidEvoError
-from sysid_evo.registry import KINDS
+from sysid_evo.registry.registry import KINDS
 from sysid_evo.testing.template import PLUGINS, write_plugin
 from tests.fixtures.commands import run_here
 

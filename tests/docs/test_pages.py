@@ -31,7 +31,8 @@ from sysid_evo.data import Dataset, load_columns
 from sysid_evo.data.columns import parse_columns, shipped_names
 from sysid_evo.engine import rollout
 from sysid_evo.models.base import make_model
-from sysid_evo.registry import KINDS, load_plugin, robot_spec, robots
+from sysid_evo.registry import load_plugin, robot_spec, robots
+from sysid_evo.registry.registry import KINDS
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import check_model, example_dataset
 from sysid_evo.testing.template import PLUGINS, write_plugin

@@ -377,7 +377,7 @@ import os
 from pathlib import Path
 
 from model_zoo.linear import Linear
-from sysid_evo.registry import register_model
+from sysid_evo.registry.registry import register_model
 
 with (Path(os.environ["PLUGIN_DIARY"])).open("a") as file:
     file.write(f"{os.getpid()} {__file__}\\n")

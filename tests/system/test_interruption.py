@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from sysid_evo.data import Dataset
-from sysid_evo.evolution import MuPlusLambda
+from sysid_evo.evolution.strategies.mu_plus_lambda import MuPlusLambda
 from sysid_evo.registry import strategies
 from tests.fixtures.commands import COMMAND, SMALL
 

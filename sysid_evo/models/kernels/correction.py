@@ -47,8 +47,8 @@ def correction_kernel(
 ) -> DynamicsKernel | None:
     """Return the kernel of ``inner`` with ``coefficients`` (size, nx) of ``terms`` added to its accelerations.
 
-    ``terms`` are the arrays of `sysid_evo.models.adaptation.CorrectionTerms` by name. None if the motion has no
-    compiled form.
+    ``terms`` are the arrays of `sysid_evo.models.adaptation.correction.CorrectionTerms` by name. None if the motion has
+    no compiled form.
     """
     motion = system.motion_kernel()
     if motion is None:

@@ -8,9 +8,10 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from sysid_evo.controllers import RecurrentNetwork, make_controller
+from sysid_evo.controllers import RecurrentNetwork
+from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Dataset
-from sysid_evo.engine import Engine, rollout
+from sysid_evo.engine import rollout
 from sysid_evo.engine.compiled.closed_loop import LoopData
 from sysid_evo.engine.results import trajectories
 from sysid_evo.engine.rollout import BoundRollout
@@ -21,10 +22,10 @@ from sysid_evo.models.base import make_model
 from sysid_evo.models.dynamics import enough, far_from_zero
 from sysid_evo.models.kernels.stepping import stepping_kernel
 from sysid_evo.motion import Motion
-from sysid_evo.processors import use_processors
+from sysid_evo.processors import Engine, use_processors
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks import SetPoint
+from sysid_evo.tasks.references import SetPoint
 from tests.fixtures.by_hand import Climber, Constant, Ladder, LadderState
 from tests.fixtures.compiled_ladder import BlindLadder, CompiledClimber, CompiledConstant, CompiledLadder, seeds_from
 

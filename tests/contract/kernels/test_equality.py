@@ -7,7 +7,8 @@ import pytest
 
 from hardware.simulators.gymnasium_robot import GymnasiumRobot
 from sysid_evo import make_model, make_task, register_reward
-from sysid_evo.controllers import RecurrentNetwork, make_controller
+from sysid_evo.controllers import RecurrentNetwork
+from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine import DynamicsRunner, rollout
 from sysid_evo.engine.imagined import ImaginedTrials
 from sysid_evo.errors import IncompatibleSystem
@@ -17,7 +18,8 @@ from sysid_evo.models import Disturbed, DomainRandomisation, Penalised
 from sysid_evo.predictive_control import Predictive
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_robot, models, tasks
-from sysid_evo.tasks import PointToPoint, Reward
+from sysid_evo.tasks import PointToPoint
+from sysid_evo.tasks.reward import Reward
 from sysid_evo.testing import MODEL
 from sysid_evo.testing.examples import ExampleDynamics, continuous_car, example_dataset, pendulum, switched_car
 from tests.fixtures.families import SMALL, hurry

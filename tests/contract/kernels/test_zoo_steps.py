@@ -8,7 +8,7 @@ import pytest
 from model_zoo.features import FUNCTIONS
 from model_zoo.state_space.units import UNITS
 from sysid_evo.data import Dataset
-from sysid_evo.engine import kernel_step
+from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.models.adaptation import selection
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import models

@@ -11,10 +11,20 @@ from sysid_evo.data import Dataset
 from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.models import load_model, save_model
-from sysid_evo.models.adaptation import NONE, REFIT, ActionCorrection, CorrectionTerms, LearnedCorrection, selection
 from sysid_evo.models.adaptation import adapted as module
+from sysid_evo.models.adaptation import selection
+from sysid_evo.models.adaptation.action import ActionCorrection
 from sysid_evo.models.adaptation.adapted import Adapted, calibrated_elsewhere
-from sysid_evo.models.adaptation.selection import FINE_TUNED, NEW_FIT, Adaptation, AdaptationDecision
+from sysid_evo.models.adaptation.correction import CorrectionTerms
+from sysid_evo.models.adaptation.selection import (
+    FINE_TUNED,
+    NEW_FIT,
+    NONE,
+    REFIT,
+    Adaptation,
+    AdaptationDecision,
+    LearnedCorrection,
+)
 from sysid_evo.models.base import make_model
 from sysid_evo.system import System
 from sysid_evo.validation import intervals

@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 from sysid_evo import DynamicsRunner, make_controller, make_robot, make_task
-from sysid_evo.controllers import FeedForward, LinearFeedback, Pid, Pursuit, RecurrentNetwork, View
-from sysid_evo.controllers.pid import HEAD, LOOP
+from sysid_evo.controllers import LinearFeedback, RecurrentNetwork, View
+from sysid_evo.controllers.networks import FeedForward
+from sysid_evo.controllers.pid import HEAD, LOOP, Pid
+from sysid_evo.controllers.pursuit import Pursuit
 from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks import PointToPoint, SetPoint, TaskState
+from sysid_evo.tasks import PointToPoint, TaskState
+from sysid_evo.tasks.references import SetPoint
 from sysid_evo.testing.examples import continuous_car, pendulum, switched_car
 from tests.fixtures.by_hand import network_by_hand
 

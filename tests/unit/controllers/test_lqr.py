@@ -10,7 +10,8 @@ from sysid_evo.controllers.lqr import LinearModel, Lqr, linear_model
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks import PointToPoint, SetPoint
+from sysid_evo.tasks import PointToPoint
+from sysid_evo.tasks.references import SetPoint
 from sysid_evo.testing.examples import ExampleDynamics, continuous_car
 
 MASS = System([Channel("position", "m"), Channel("speed", "m/s")], [Channel("force", "N", low=-4.0, high=4.0)], dt=0.1)

@@ -12,7 +12,7 @@ from sysid_evo import system as systems
 from sysid_evo.angles import rotate
 from sysid_evo.errors import IncompatibleSystem, InvalidSystem
 from sysid_evo.motion import CentralDifferences, PlanarBody, motion_from_dict
-from sysid_evo.registry import motions
+from sysid_evo.registry.registry import motions
 from sysid_evo.rigid_body import RigidBody
 from sysid_evo.system import Channel, System
 from tests.fixtures.motions import Clockwise, clockwise

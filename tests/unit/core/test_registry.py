@@ -8,8 +8,10 @@ from types import ModuleType
 import pytest
 
 from sysid_evo.errors import InvalidArgument, MissingExtra, PluginError, PluginWarning, RegistrationError, UnknownName
-from sysid_evo.registry import KINDS, Registry, Spec, load_plugin, make_robot, models, robots, source_digest
+from sysid_evo.registry import Registry, Spec, load_plugin, make_robot, models, robots
 from sysid_evo.registry import registry as registry_module
+from sysid_evo.registry.plugins import source_digest
+from sysid_evo.registry.registry import KINDS
 from tests.fixtures.commands import forgetting
 
 GROUP = "sysid_evo.test_things"

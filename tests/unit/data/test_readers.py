@@ -12,7 +12,7 @@ from sysid_evo.data import Dataset, Reader, Table
 from sysid_evo.data.readers import CsvReader, ParquetReader, find_reader
 from sysid_evo.data.reading import log_files
 from sysid_evo.errors import InvalidArgument, InvalidData
-from sysid_evo.registry import readers
+from sysid_evo.registry.registry import readers
 
 
 def test_both_readers_are_registered_under_their_entry_points():

@@ -12,11 +12,12 @@ from model_zoo.grey_box import estimation
 from sysid_evo.artefacts import CheckpointFile
 from sysid_evo.cli.console import code_of
 from sysid_evo.controllers.linear import LinearFeedback
-from sysid_evo.engine import DynamicsRunner, imagined, reference, resolve, rollout
+from sysid_evo.engine import DynamicsRunner, imagined, reference, rollout
 from sysid_evo.errors import CheckpointWarning, InvalidArgument
 from sysid_evo.evolution import ControllerEvolution, ModelEvolution, evolve_controller, model_evolution
 from sysid_evo.models.base import make_model
 from sysid_evo.plan import CELL_KINDS, CONTRACT, Plan
+from sysid_evo.processors import resolve
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.tasks.point_to_point import PointToPoint

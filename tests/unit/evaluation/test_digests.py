@@ -215,10 +215,9 @@ def test_a_default_that_is_written_out_and_a_seed_in_shorthand_change_nothing():
 
 PLUGIN = """
 from sysid_evo.controllers import RecurrentNetwork
-from sysid_evo.evolution import MuPlusLambda
-from sysid_evo.registry import (
-    register_aggregate, register_controller, register_model, register_strategy, register_task
-)
+from sysid_evo.evolution.strategies.mu_plus_lambda import MuPlusLambda
+from sysid_evo.registry.registry import register_aggregate, register_controller, register_model, register_strategy
+from sysid_evo.registry import register_task
 from sysid_evo.tasks import PointToPoint
 from model_zoo.linear import Linear
 

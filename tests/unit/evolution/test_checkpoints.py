@@ -10,7 +10,8 @@ import pytest
 from sysid_evo.artefacts import CheckpointFile, read_checkpoint
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.errors import CheckpointWarning, InvalidArgument
-from sysid_evo.evolution import MuPlusLambda, polish
+from sysid_evo.evolution import polish
+from sysid_evo.evolution.strategies.mu_plus_lambda import MuPlusLambda
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import strategies
 from sysid_evo.testing import example_dataset

@@ -7,7 +7,8 @@ import pytest
 
 from sysid_evo.engine import Rollouts
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.evolution import Champion, ControllerEvolution, Finalist, choose, polish, score_finalists
+from sysid_evo.evolution import Champion, ControllerEvolution, Finalist, choose, polish
+from sysid_evo.evolution.selection import score_finalists
 from sysid_evo.registry import Spec
 from sysid_evo.testing.examples import switched_car
 

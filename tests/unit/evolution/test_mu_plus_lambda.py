@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sysid_evo.errors import InvalidArgument, ShapeError
-from sysid_evo.evolution import MuPlusLambda, evolve
+from sysid_evo.evolution import evolve
+from sysid_evo.evolution.strategies.mu_plus_lambda import MuPlusLambda
 
 
 def sphere(population, _=0):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.evolution import Niches, Scores, evolve
-from sysid_evo.evolution.strategies.niches import Island, _converged
+from sysid_evo.evolution import Scores, evolve
+from sysid_evo.evolution.strategies.niches import Island, Niches, _converged
 from tests.fixtures.evolutions import CONTROLS, NAMES, described, trap
 
 

@@ -9,16 +9,9 @@ from sysid_evo.artefacts import CheckpointFile
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.engine.rollout import BoundRollout
 from sysid_evo.errors import EvolutionWarning, InvalidArgument, UnknownName
-from sysid_evo.evolution import (
-    ControllerEvolution,
-    Generation,
-    MuPlusLambda,
-    Schedule,
-    Stage,
-    evolve,
-    evolve_controller,
-    loop,
-)
+from sysid_evo.evolution import ControllerEvolution, Stage, evolve, evolve_controller, loop
+from sysid_evo.evolution.loop import Generation, Schedule
+from sysid_evo.evolution.strategies.mu_plus_lambda import MuPlusLambda
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec
 from tests.fixtures.checkpoints import Stop, StopAfter

@@ -8,11 +8,13 @@ import pytest
 
 from sysid_evo.data import Dataset
 from sysid_evo.errors import PluginError
-from sysid_evo.models.adaptation import NONE, adaptation, held_out_error, selection
+from sysid_evo.models.adaptation import held_out_error, selection
 from sysid_evo.models.adaptation.selection import (
     MAX_ERROR_WINDOWS,
+    NONE,
     UNCHANGED_RATIO,
     AdaptationDecision,
+    adaptation,
     decided,
     error_ratio,
     moving_seconds,

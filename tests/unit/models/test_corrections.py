@@ -5,15 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_evo.models.adaptation import ActionCorrection, CorrectionTerms, LearnedCorrection
-from sysid_evo.models.adaptation.action import action_corrections
+from sysid_evo.models.adaptation.action import ActionCorrection, action_corrections
 from sysid_evo.models.adaptation.correction import (
     AdaptationWindows,
+    CorrectionTerms,
     acceleration_from_coasting,
     corrections,
     sensitivities,
     simulate_corrections,
 )
+from sysid_evo.models.adaptation.selection import LearnedCorrection
 from sysid_evo.models.base import make_model
 from sysid_evo.testing.examples import example_dataset
 from sysid_evo.validation.simulation_error import error_of

@@ -8,7 +8,7 @@ import pytest
 
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.tasks import Balance, SetPoint, SwingUp, TrackReference
+from sysid_evo.tasks.references import Balance, SetPoint, SwingUp, TrackReference
 from sysid_evo.testing.examples import bare_system, pendulum
 from tests.fixtures.systems import TANK
 

@@ -9,7 +9,7 @@ from sysid_evo import register_reward
 from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import tasks
-from sysid_evo.tasks import Reward
+from sysid_evo.tasks.reward import Reward
 from sysid_evo.tasks.task import make_task
 from sysid_evo.testing import check_task
 from sysid_evo.testing.examples import pendulum, switched_car

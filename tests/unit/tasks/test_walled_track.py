@@ -10,8 +10,8 @@ from sysid_evo.engine import rollout
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.predictive_control import Predictive
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.tasks import WalledTrack
 from sysid_evo.tasks.track_geometry import draw_track, place_of, wall
+from sysid_evo.tasks.walled_track import WalledTrack
 from sysid_evo.testing.examples import ExampleDynamics, pendulum, switched_car
 
 SEEDS = trial_seeds(4, 20)
