@@ -59,6 +59,7 @@ FAMILIES = {
     "latent_ode": STATE_SPACE,
     "single_track": {"starts": 1, "windows": 15},
     "average": {"families": ["linear", "linear(ridge=9)"]},
+    "regressor": {"max_iter": 20, "state_lags": 0, "control_lags": 1},
     "equations": SMALL["equations"],
     "lti": SMALL["lti"],
 }

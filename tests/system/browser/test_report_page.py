@@ -22,6 +22,7 @@ from evaluation.report.study import save_study
 from tests.fixtures import reports as chosen
 from tests.fixtures.browser import DESK, PHONE, TABLET, resize, seen, share_of, shown, sideways
 from tests.fixtures.known_models import Known, Sliding, fitted
+from tests.fixtures.session import without_figures
 from tests.fixtures.studies import made_up
 
 LONG = "a_family_with_a_very_long_name_indeed+and_another_of_the_same_length"
@@ -36,7 +37,8 @@ def pages(report_page, tmp_path_factory):
     folder = tmp_path_factory.mktemp("pages")
     long = chosen.make_report({LONG: fitted(Known()), "sliding": fitted(Sliding())})
     study = save_study(made_up(procedure=["recommended", "plain"]), folder)
-    return {"run": report_page, "long": save_report(long, folder)[1], "study": study[-1]}
+    with without_figures():  # its tables are wide; figures are as wide in all pages
+        return {"run": report_page, "long": save_report(long, folder)[1], "study": study[-1]}
 
 
 def test_the_page_is_self_contained_and_names_every_model_and_controller(report, report_page):
@@ -106,6 +108,7 @@ def test_the_colours_follow_the_theme_of_the_reader(page):
 def test_a_phone_gets_the_drawings_made_for_it(page):
     assert (shown(page, ".on-wide > svg") > 0, shown(page, ".on-narrow > svg")) == (True, 0)
     resize(page, PHONE)
+    assert sideways(page) == 0
     assert (shown(page, ".on-wide > svg"), shown(page, ".on-narrow > svg") > 0) == (0, True)
 
 

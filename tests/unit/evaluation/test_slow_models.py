@@ -119,8 +119,9 @@ def test_a_compiled_model_is_not_slow():
 
 def test_regressors_without_compiled_form_are_slow(monkeypatch):
     monkeypatch.setattr(slow_models, "time", time)
-    quick, slow = "regressor(estimator=Ridge)", "a=regressor(estimator=KNeighborsRegressor, algorithm=brute)"
-    (text,) = planned(quick, slow).experiment.step_seconds
+    quick, slow = "estimator=Ridge", "estimator=KNeighborsRegressor, algorithm=brute"
+    specs = (f"{name}=regressor({kind}, state_lags=0, control_lags=0)" for name, kind in (("b", quick), ("a", slow)))
+    (text,) = planned(*specs).experiment.step_seconds
     assert text.startswith("a=")
 
 

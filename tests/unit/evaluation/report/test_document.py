@@ -117,7 +117,7 @@ def test_a_report_of_prediction_alone_has_no_transfer(report):
 def test_a_test_set_of_a_few_samples_still_gives_a_report(report):
     short = assess_prediction({"known": fitted(Known())}, recording(), recording(1, steps=5))
     brief = replace(report, prediction=short, matrix=None, exploitability=())
-    assert "No test episode is long enough to simulate it whole" in page_of(story_of(brief))
+    assert "No test episode is long enough to simulate it whole" in text_page(brief)
     assert "No test episode is long enough to simulate it whole" in " ".join(in_terminal(brief).split())
 
 
