@@ -165,8 +165,8 @@ def forecast_from(store: Store, champion: Champion, runs: Sequence[Cell[Run]]) -
         for run in runs
         if (cell := store.outcome(run).value) is not None
     }
-    predicted = {
-        label: None if column.prediction is None else store.outcome(column.prediction).value
+    errors = {
+        label: forecast_error(None if column.prediction is None else store.outcome(column.prediction).value)
         for label, (column, _) in found.items()
     }
     matrix = TransferMatrix.of(
@@ -175,7 +175,6 @@ def forecast_from(store: Store, champion: Champion, runs: Sequence[Cell[Run]]) -
         [cell for _, cell in found.values()],
         families={label: column.registered for label, (column, _) in found.items()},
     )
-    errors = {label: forecast_error(prediction) for label, prediction in predicted.items()}
     return forecasts(matrix, errors).get(champion.name)
 
 

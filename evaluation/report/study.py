@@ -351,15 +351,8 @@ def point_sheet(results: StudyResults) -> TableElement:
     for point in results.points:
         row = chosen.get(point.name)
         state = f"{point.done} of {point.cells}" + (f", {point.failed} failed" if point.failed else "")
-        picked = ("–",) * 4
-        if row is not None:
-            picked = (
-                row.controller,
-                three_digits(row.forecast),
-                three_digits(row.achieved),
-                three_digits(row.best_known),
-            )
-        rows.append((point.name, state, *picked))
+        values = (None,) * 3 if row is None else (row.forecast, row.achieved, row.best_known)
+        rows.append((point.name, state, "–" if row is None else row.controller, *map(three_digits, values)))
     heads = ("point", "cells", "chosen", "forecast", "achieved", "best known")
     return TableElement("Points", heads, tuple(rows), details=len(rows) > 12)
 

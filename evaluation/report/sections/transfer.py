@@ -11,7 +11,7 @@ from evaluation.transfer.matrix import BY_HAND, NOT_RUN, TransferMatrix, Transfe
 from evaluation.transfer.summary import MatrixEstimates
 from sysid_evo.evolution import Champion
 from sysid_evo.evolution.aggregates import mean
-from sysid_evo.validation.estimates import CONFIDENCE
+from sysid_evo.validation.estimates import CONFIDENCE, estimate_of
 
 CONSENSUS = "other\nfamilies"
 """Heading of the median over models of other families."""
@@ -27,8 +27,7 @@ def transfer_sheet(matrix: TransferMatrix) -> TableElement:
         CONSENSUS if c is None else lines(folded(c), "(robot)" if c == matrix.robot else "") for c in places
     )
     figures = MatrixEstimates(matrix)
-    drawn = {champion.name: figures.other_families(champion) for champion in matrix.champions}
-    medians = {name: None if found is None else found.estimate for name, found in drawn.items()}
+    medians = {champion.name: estimate_of(figures.other_families(champion)) for champion in matrix.champions}
     median = {name: np.nan if found is None else found.value for name, found in medians.items()}
     rows = [
         (
