@@ -149,16 +149,6 @@ class Features:
         return CarryLayout(self.system.nx, self.system.nu, *self.lags)
 
 
-def square_with_sign(x: Array) -> Array:
-    """Return x |x|, such as the drag of a body in air."""
-    return np.asarray(x * np.abs(x))
-
-
-def root_of_size(x: Array) -> Array:
-    """Return the square root of |x|, such as the flow through an orifice without its direction."""
-    return np.asarray(np.sqrt(np.abs(x)))
-
-
 FUNCTIONS: dict[str, Callable[[Array], Array]] = {
     "abs": np.abs,
     "sign": np.sign,
@@ -166,8 +156,8 @@ FUNCTIONS: dict[str, Callable[[Array], Array]] = {
     "cos": np.cos,
     "tanh": np.tanh,
     "exp": np.exp,
-    "sqrt_abs": root_of_size,
-    "x_abs": square_with_sign,
+    "sqrt_abs": lambda x: np.asarray(np.sqrt(np.abs(x))),  # such as the flow through an orifice
+    "x_abs": lambda x: np.asarray(x * np.abs(x)),  # such as the drag of a body in air
 }
 """Functions by name; `sysid_evo.models.kernels.shells` has the compiled form of each."""
 

@@ -197,15 +197,13 @@ VERSIONS = {name: version(name) for name in ("sysid-evo", "numpy")} | {"python":
 class Recorder(Closeable, Listener):
     """Writes every frame, command and status of a session with ``robot`` to a new journal at ``path``.
 
-    ``body`` (default: the first seen) and ``limits`` are stored, so that readers accept the same frames.
+    ``limits`` are stored, so that readers accept the same frames.
     Each call is one write to the system's cache, some ten microseconds. A disk that cannot take a
     record does not stop a robot: the record is counted in ``lost``, and ``problem`` gives the reason.
     `close` waits for the disk.
     """
 
-    def __init__(
-        self, path: str | Path, system: System, *, robot: str, body: str | None = None, limits: GateLimits | None = None
-    ) -> None:
+    def __init__(self, path: str | Path, system: System, *, robot: str, limits: GateLimits | None = None) -> None:
         self.path = Path(path)
         self.lost = 0
         self.problem: str | None = None
@@ -215,7 +213,6 @@ class Recorder(Closeable, Listener):
             {
                 "system": system.to_dict(),
                 "robot": robot,
-                "body": body,
                 "limits": (GateLimits() if limits is None else limits).to_dict(),
                 "versions": VERSIONS,
             },

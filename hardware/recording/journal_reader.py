@@ -93,7 +93,7 @@ def _accepted(
     journal: Journal, begin: float, limits: GateLimits | None
 ) -> tuple[list[Measurement], IntArray, list[bool]]:
     """Return the accepted frames from ``begin``, their numbers, and which of them begin a track."""
-    gate = PoseGate(journal.header.get("body"), journal.limits if limits is None else limits)
+    gate = PoseGate(None, journal.limits if limits is None else limits)
     neutral = journal.system.neutral_control
     driving, number = False, 0
     frames: list[Measurement] = []

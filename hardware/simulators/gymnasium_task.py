@@ -117,15 +117,14 @@ class EnvironmentTask(Task):
         asked = None if angle is None else self.angle
         self.learned = LearnedReward.from_text(learned) if learned else None
         self.tried: TriedEnvironment | None = None
-        least, longest = 0.0, 0
         if self.rules is not None:
             if lowest is not None or learned or exact:
                 what = f"the lowest reward of {id} is known, {self.rules.least:g}" if lowest is not None else ""
                 raise InvalidArgument(f"task environment: {what or f'the reward of {id} is known: it is not learned'}")
-            least, longest = self.rules.least, self.rules.horizon
+            self.scale, least, longest = KNOWN[id].scale, self.rules.least, self.rules.horizon
         else:
-            self.tried = tried = TriedEnvironment.of(id, self.settings, asked)
-            self.angle = tried.angle
+            self.tried = tried = _tried(id, asked, KeptSettings.of(self.settings))
+            self.angle, self.scale = tried.angle, tried.scale
             least, longest = tried.least if self.learned is None else self.learned.least, tried.horizon
             if exact and isinstance(tried.setter, str):
                 raise IncompatibleTask(f"task environment: {tried.setter}, so its reward cannot be computed exactly")
@@ -138,18 +137,10 @@ class EnvironmentTask(Task):
             raise InvalidArgument(f"task environment: expected a horizon of at least one step, got {horizon}")
         self.worst = min(0.0, self.least) * self.horizon
 
-    @property
-    def scale(self) -> tuple[float, ...]:
-        """Range of each state."""
-        if self.known is not None:
-            return self.known.scale
-        assert self.tried is not None
-        return self.tried.scale
-
     def check_system(self, system: System) -> None:
         if self.known is None:
             assert self.tried is not None
-            n, controls = len(self.tried.scale), self.tried.controls
+            n, controls = len(self.scale), self.tried.controls
             if system.nx != n or _size(system.controls) != _size(controls):
                 names = ", ".join(channel.name for channel in self.tried.states)
                 raise IncompatibleTask(
@@ -353,11 +344,6 @@ class TriedEnvironment:
     environment: gymnasium.Env[Any, Any]
     angle: str
 
-    @classmethod
-    def of(cls, name: str, settings: Mapping[str, Any], angle: str | None) -> TriedEnvironment:
-        """Try the environment called ``name``, once in a process; its angles are found if ``angle`` is None."""
-        return _tried(name, angle, KeptSettings.of(settings))
-
     def judge(
         self, before: Array, control: Array, controls: tuple[Channel, ...], least: float
     ) -> tuple[Array, BoolArray]:
@@ -395,6 +381,7 @@ def _time_limit(steps: Sequence[RandomStep]) -> int:
 
 @lru_cache(maxsize=32)
 def _tried(name: str, angle: str | None, settings: KeptSettings) -> TriedEnvironment:
+    """Try the environment called ``name``, once in a process; its angles are found if ``angle`` is None."""
     env = make_environment(name, settings.values)
     angle = found_angles(f"task environment: {name}", env)[0] if angle is None else angle
     observations, channels = observation_map(f"task environment: {name}", env.observation_space, angle)

@@ -118,14 +118,10 @@ class MujocoSession(SimulatorSession):
         before = self._measured()
         self._data.ctrl[:] = control
         self._mujoco.mj_step(self._simulator.model, self._data, self._simulator.repeats)
-        unstable = any(self._data.warning[kind].number for kind in self._unstable)
+        kinds = self._mujoco.mjtWarning  # after these MuJoCo resets a simulation
+        reset = int(kinds.mjWARN_BADQPOS), int(kinds.mjWARN_BADQVEL), int(kinds.mjWARN_BADQACC)
+        unstable = any(self._data.warning[kind].number for kind in reset)
         return before if unstable else self._measured(), 0.0, unstable, False
-
-    @property
-    def _unstable(self) -> tuple[int, ...]:
-        """Warnings after which MuJoCo resets a simulation."""
-        kinds = self._mujoco.mjtWarning
-        return int(kinds.mjWARN_BADQPOS), int(kinds.mjWARN_BADQVEL), int(kinds.mjWARN_BADQACC)
 
     def _measured(self) -> Array:
         data, free, found = self._data, self._simulator.free, []

@@ -58,7 +58,8 @@ class Quadrotor(SimulatorRobot):
         check_number("robot quadrotor: rate_gain", gain, above=0.0)
         check_number("robot quadrotor: dt", dt, above=0.0)
         check_installed("robot 'quadrotor'", self.requires)
-        parameters = {**_parameters(vehicle), "k_w": gain, "motor_noise_std": 0.0}
+        known = import_module(f"rotorpy.vehicles.{vehicle}_params").quad_params
+        parameters = {**known, "k_w": gain, "motor_noise_std": 0.0}
         weight, motion = parameters["mass"] * GRAVITY, RigidBody()
         if command == "motors":
             controls = [Channel(f"thrust_{i}", "N", 0.0, weight / 2.0, neutral=weight / 4.0) for i in range(1, 5)]
@@ -134,8 +135,3 @@ class QuadrotorSession(SimulatorSession):
         speed, rate, tilt = START
         w, x, y, z = quaternion(tilt * drawn[2, 0], tilt * drawn[2, 1], 0.0)
         return np.array([*(speed * drawn[0]), *(rate * drawn[1]), *rotated(w, -x, -y, -z, 0.0, 0.0, 1.0)])
-
-
-def _parameters(vehicle: str) -> Mapping[str, Any]:
-    parameters: Mapping[str, Any] = import_module(f"rotorpy.vehicles.{vehicle}_params").quad_params
-    return parameters

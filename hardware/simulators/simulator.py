@@ -207,16 +207,13 @@ class _Trials:
             if self.controls[i]
         ]
 
-    def fitness(self) -> Array:
-        """Return the fitness of every trial, in the form of `Rollouts`."""
-        return results.scored(self.task, self.task.fitness(self.task_state), self.survived, self.diverged)
-
 
 def _joined(parts: list[_Trials], trials: int, record: bool) -> Rollouts:
     survived = np.concatenate([part.survived for part in parts]).reshape(-1, trials)
+    scores = [results.scored(one.task, one.task.fitness(one.task_state), one.survived, one.diverged) for one in parts]
     described = [results.time_shares(part.counts, part.survived, part.diverged) for part in parts]
     return Rollouts(
-        fitness=np.concatenate([part.fitness() for part in parts]).reshape(-1, trials),
+        fitness=np.concatenate(scores).reshape(-1, trials),
         survived=survived,
         clipped=np.zeros_like(survived),
         task_state=parts[-1].task_state,

@@ -155,14 +155,12 @@ class DifferentiableSimulation(ABC):
             held.append(TrainingWindows.at(part, windows.episode, windows.start, windows.states.shape[1]))
 
         def validate(parameters: Array32) -> Array:
-            return validation_errors(self, parameters, held, self.standard.state_scale)
+            return validation_errors(self, parameters, held)
 
         learned = train(
             self,
             [TrainingWindows.of(part, plan.horizon, history) for part, _ in splits],
             plan,
-            state_scale=self.standard.state_scale,
-            change_scale=self.standard.change,
             trainings=trainings,
             validate=validate,
         )
@@ -188,14 +186,7 @@ class DifferentiableSimulation(ABC):
     def fine_tune(self, dataset: Dataset, plan: TrainingSchedule, trainings: ResumableTrainings) -> Array32:
         """Continue training of all members on the whole ``dataset``; return the parameters (M, P)."""
         windows = TrainingWindows.of(dataset, plan.horizon, self.layout.n_lags)
-        return train(
-            self,
-            [windows] * self.layers.members,
-            plan,
-            state_scale=self.standard.state_scale,
-            change_scale=self.standard.change,
-            trainings=trainings,
-        )
+        return train(self, [windows] * self.layers.members, plan, trainings=trainings)
 
     @property
     def _n_seen(self) -> int:
@@ -253,16 +244,13 @@ def train(
     windows: Sequence[TrainingWindows],
     plan: TrainingSchedule,
     *,
-    state_scale: Array,
-    change_scale: Array,
     trainings: ResumableTrainings,
     validate: Callable[[Array32], Array] | None = None,
 ) -> Array32:
     """Train ``model`` on one set of ``windows`` for each member and return its averaged parameters (M, P).
 
-    ``validate`` gives the validation error (M,) of parameters; each member then keeps its best ones. ``state_scale``
-    and ``change_scale`` (nx,) are the units of errors and noise. ``trainings`` resumes a training that was interrupted
-    and returns the result of one that had finished.
+    ``validate`` gives the validation error (M,) of parameters; each member then keeps its best ones.
+    ``trainings`` resumes a training that was interrupted and returns the result of one that had finished.
     """
     done = trainings.ended()
     if done is not None:
@@ -270,7 +258,8 @@ def train(
         return done
     rng, layout, batches = trainings.rng, model.layout, Batches(windows, model.layout.n_lags)
     state = TrainingState.at(model.parameters)
-    scale, noise = state_scale.astype(np.float32), (plan.input_noise * change_scale).astype(np.float32)
+    scale = model.standard.state_scale.astype(np.float32)
+    noise = (plan.input_noise * model.standard.change).astype(np.float32)
     longest = min(one.horizon for one in windows)
     present = slice(layout.n_lags - layout.state_lags, layout.n_lags + 1)
     first = reported = trainings.resume(state)
@@ -301,14 +290,13 @@ def train(
     return found
 
 
-def validation_errors(
-    model: DifferentiableSimulation, parameters: Array32, held: Sequence[TrainingWindows], state_scale: Array
-) -> Array:
+def validation_errors(model: DifferentiableSimulation, parameters: Array32, held: Sequence[TrainingWindows]) -> Array:
     """Return the simulation error (M,) of each member over its own windows: RMSE / scale, averaged over all.
 
     Infinite if a simulation is not finite. A member with fewer windows repeats some, which do not count.
     """
     trained, layout, batches = model.parameters, model.layout, Batches(held, model.layout.n_lags)
+    scale = model.standard.state_scale
     model.as_recorded()
     model.parameters = parameters
     most, longest = max(len(windows) for windows in held), max(windows.horizon for windows in held)
@@ -317,7 +305,7 @@ def validation_errors(
         rows = np.arange(begin, min(begin + CHUNK, most))
         batch = batches.of([rows % len(windows) for windows in held], longest)
         with np.errstate(all="ignore"):
-            off = ((model.run(batch) - batch[layout.n_lags + 1 :, ..., : layout.nx]) / state_scale) ** 2
+            off = ((model.run(batch) - batch[layout.n_lags + 1 :, ..., : layout.nx]) / scale) ** 2
         for member, windows in enumerate(held):
             square[member] += off[: windows.horizon, member, : max(0, len(windows) - begin)].sum(axis=1)
     model.parameters = trained

@@ -138,10 +138,9 @@ class PolynomialModel(StochasticModel):
         return next_state(self.added_, carry[:, : self.system.nx], self.polynomial(carry, control))
 
     def predictor(self) -> Predictor | None:
-        right_side = self.right_side()
-        return None if right_side is None else next_state_predictor(self.added_, right_side)
+        return next_state_predictor(self.added_, self.right_side())
 
-    def right_side(self) -> Predictor | None:
+    def right_side(self) -> Predictor:
         """Return the compiled form of the polynomial of the clipped features."""
         if self.features.functions or self.offsets:
             return self._of_rows()

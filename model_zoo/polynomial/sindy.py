@@ -60,10 +60,7 @@ class Sindy(SparsePolynomial):
         return [(f"acceleration of {c.name}", f"{c.unit or '1'}/s") for c in self.system.states]
 
     def predictor(self) -> Predictor | None:
-        polynomial = self.right_side()
-        if polynomial is None:
-            return None
-        rate = turning_frame(polynomial, self.system, bounds=self.continuation_)
+        rate = turning_frame(self.right_side(), self.system, bounds=self.continuation_)
         return None if rate is None else runge_kutta_predictor(rate, self.system, n_carry=self.n_carry)
 
     def next_state(self, carry: Array, control: Array) -> Array:

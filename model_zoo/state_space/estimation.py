@@ -74,14 +74,14 @@ class EstimationProblem:
     def linear_trained(self, order: int, short: int, long: int, report: Callable[[], None]) -> Trained:
         """Train a linear space on short and on long simulations; if that makes it unstable, on long ones alone."""
         start = self.linear(order)
-        trained = self.learned(start, self.initial_states(self.short, start), short, report)
+        trained = train(start, self.short, self.initial_states(self.short, start), short, report)
         if radius(trained.spaces) > UNSTABLE:
-            trained = self.learned(start, self.initial_states(self.short, start), 1, lambda: None)
+            trained = train(start, self.short, self.initial_states(self.short, start), 1)
         trained = self.lengthened(trained, start, long, report)
         if radius(trained.spaces) <= UNSTABLE:
             return trained
         stable = stabilised(trained.spaces)
-        return train(stable, self.long, self.initial_states(self.long, stable), 1, lambda: None)
+        return train(stable, self.long, self.initial_states(self.long, stable), 1)
 
     def initial_states(self, windows: ShootingWindows, spaces: StateSpaceBatch) -> Array:
         """Return initial states (S, B, n) with the measured outputs and zeros for the rest."""
@@ -94,10 +94,6 @@ class EstimationProblem:
         """Return the states (S, N, n) of the runs at all samples that count, in sequence."""
         runs = trained.spaces.run(trained.starts, windows.controls)
         return np.stack([windows.rows(run) for run in runs])
-
-    def learned(self, spaces: StateSpaceBatch, starts: Array, iterations: int, report: Callable[[], None]) -> Trained:
-        """Train on short simulations that start at ``starts`` (S, B, n)."""
-        return train(spaces, self.short, starts, iterations, report)
 
     def lengthened(
         self, trained: Trained, fallback: StateSpaceBatch, iterations: int, report: Callable[[], None]

@@ -93,7 +93,7 @@ class NetworkStateSpace(StateSpaceModel):
         """Return networks of these mixtures that start from a linear space, after a short training."""
         spaces = networks(linear.spaces, mixtures, self.hidden, rng)
         starts = problem.states(linear, problem.long)[:, problem.short.begins].repeat(len(mixtures), axis=0)
-        return problem.learned(spaces, starts, self.screening_iterations, counter.advance)
+        return train(spaces, problem.short, starts, self.screening_iterations, counter.advance)
 
     def _of_orders(
         self, problem: EstimationProblem, orders: list[int], rng: np.random.Generator, counter: Counter
@@ -119,9 +119,9 @@ class NetworkStateSpace(StateSpaceModel):
         likely = one.likely(problem)
         more = self._started(problem, one.linear, list(islice(cycle(likely), 2 * count)), rng, counter)
         pool = joined(one.networks, more)
-        pool = problem.learned(pool.spaces, pool.starts, 2 * self.screening_iterations, counter.advance)
+        pool = train(pool.spaces, problem.short, pool.starts, 2 * self.screening_iterations, counter.advance)
         trained = best_networks(pool, problem, count)
-        trained = problem.learned(trained.spaces, trained.starts, self.iterations, counter.advance)
+        trained = train(trained.spaces, problem.short, trained.starts, self.iterations, counter.advance)
         trained = problem.lengthened(trained, one.linear.spaces, self.iterations, counter.advance)
         return self._wide_enough(problem, trained, likely, rng, counter)
 

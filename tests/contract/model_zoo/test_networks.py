@@ -1,6 +1,7 @@
 """What is trained and what steps are the same model; its gradients are derivatives; it can be trained further."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -395,7 +396,7 @@ def test_the_steps_of_a_simulation_are_weighted_by_their_error_to_the_power_of_m
 class Drifting:
     """A model of one number p that predicts p after one step and 4 p after two."""
 
-    layout = CarryLayout(1, 0)
+    layout, standard = CarryLayout(1, 0), SimpleNamespace(state_scale=np.ones(1), change=np.ones(1))
 
     def __init__(self) -> None:
         self.parameters = np.full((1, 1), 0.5)
@@ -420,7 +421,5 @@ def test_training_follows_the_weights_of_the_steps():
     starts = np.arange(0, 12, 3)
     shots = TrainingWindows(np.tile([[0.0], [1.0], [8.0]], (4, 1)), starts, 2, starts)
     plan = TrainingSchedule(1, 300, 2, batch=4, learning_rate=0.05, weight_decay=0.0, input_noise=0.0, averaging=0.5)
-    one = np.ones(1)
-    trainings = ResumableTrainings(np.random.default_rng(0))
-    found = train(Drifting(), [shots], plan, state_scale=one, change_scale=one, trainings=trainings)
+    found = train(Drifting(), [shots], plan, trainings=ResumableTrainings(np.random.default_rng(0)))
     assert float(found[0, 0]) == pytest.approx(1.0, abs=0.1)

@@ -125,7 +125,7 @@ def test_a_unit_of_the_controls_never_sees_states_and_none_is_no_unit():
     problem = EstimationProblem.of(one_output(0, bend=0.03), 100)
     linear = problem.linear_trained(2, 3, 3, lambda: None)
     begun = networks(linear.spaces, [(SHARP_INPUT, GATE, None)], 3, np.random.default_rng(0))
-    trained = problem.learned(begun, problem.initial_states(problem.short, begun), 3, lambda: None).spaces
+    trained = train(begun, problem.short, problem.initial_states(problem.short, begun), 3).spaces
     assert np.abs(trained.outer[0, :, 4:6]).min() > 0.0
     assert (trained.inner[0, 0] == 0.0).tolist() == [True, True, False, False]
     assert (trained.inner[0, 1] != begun.inner[0, 1]).all()

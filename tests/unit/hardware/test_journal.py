@@ -28,7 +28,7 @@ def measurement(number, body="car"):
 
 def session(path, frames=40):
     """Return a recorder that was told of ``frames`` frames, a command every ten, a status after each."""
-    recorder = Recorder(path, CAR, robot="toy", body="car")
+    recorder = Recorder(path, CAR, robot="toy")
     for number in range(frames):
         recorder.on_measurement(measurement(number))
         if number % 10 == 0:
