@@ -274,9 +274,8 @@ def report(
         raise InvalidData(f"{run} has no fitted model yet, so there is nothing to report; resume it first")
     print_report(made, run, as_json=as_json, verbose=verbose, written=written)
     for name in formats or ():
-        if files := evaluation.write_format(
-            evaluation.story_of(made), name, run
-        ):  # one without figures has none as svg
+        files = evaluation.write_format(evaluation.story_of(made), name, run)
+        if files:  # one without figures has none as svg
             print_status(str(files[0].parent if name == "svg" else files[0]), label=f"{name}: ", style="dim")
 
 

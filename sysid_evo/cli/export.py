@@ -39,9 +39,8 @@ def export(
         raise InvalidArgument(f"--to: expected {', '.join(SUFFIXES)}, got {to!r}")
     if real not in REALS:
         raise InvalidArgument(f"--real: expected {' or '.join(REALS)}, got {real!r}")
-    chosen = (
-        evaluation.CHOSEN if controller.stem == evaluation.CHOSEN else ""
-    )  # a copy of another file, to be used under this name
+    # a copy of another file, to be used under this name
+    chosen = evaluation.CHOSEN if controller.stem == evaluation.CHOSEN else ""
     law = replace(sysid_evo.export.exported_controller(sysid_evo.load_champion(controller)), called=name or chosen)
     path = file or Path(f"{law.name}{SUFFIXES[to]}")
     if path.exists():

@@ -140,10 +140,8 @@ class ModelVectorEnvironment(VectorEnv[Any, Any, Any]):
         reward, terminated, truncated = self.trials.step(controls)
         if restarting.any():
             self.restart(restarting)
-            reward, terminated, truncated = (
-                np.where(restarting, 0, values) for values in (reward, terminated, truncated)
-            )
-        terminated, truncated = terminated.astype(bool), truncated.astype(bool)
+            reward = np.where(restarting, 0.0, reward)
+            terminated, truncated = terminated & ~restarting, truncated & ~restarting
         self._ended = terminated | truncated
         return self.observations(), reward, terminated, truncated, self._info()
 

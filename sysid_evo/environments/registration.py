@@ -89,8 +89,7 @@ def load_members(source: Source | Iterable[Source] | Mapping[str, Source]) -> di
                 )
             return {file.stem: _dynamics(file) for file in files}
         return {_name_of(source): _dynamics(source)}
-    listed = list(source)
-    return {f"{_name_of(one)}-{i + 1}": _dynamics(one) for i, one in enumerate(listed)}
+    return {f"{_name_of(one)}-{i}": _dynamics(one) for i, one in enumerate(source, start=1)}
 
 
 def _dynamics(source: Source) -> Dynamics:

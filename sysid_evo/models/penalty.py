@@ -87,11 +87,8 @@ class Penalised(PlainDynamics):
         return np.concatenate([carry, np.zeros((len(states), 2))], axis=1)
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        state, inner, (penalty, clock) = (
-            carry[:, : self.system.nx],
-            carry[:, : self.penalty_at],
-            carry[:, self.penalty_at :].T.copy(),
-        )
+        state, inner = carry[:, : self.system.nx], carry[:, : self.penalty_at]
+        penalty, clock = carry[:, self.penalty_at :].T.copy()
         due = clock == 0.0
         if due.any():
             beyond = self.support.distances(state[due], control[due]) / self.support.limit - 1.0

@@ -196,10 +196,8 @@ class StochasticModel(DynamicsModel):
     def _stepping_kernel(self) -> DynamicsKernel | None:
         if not self.timed:
             return super()._stepping_kernel
-        if (
-            type(self).with_deviation is not StochasticModel.with_deviation
-        ):  # the unit of the noise differs from state to state
-            return None
+        if type(self).with_deviation is not StochasticModel.with_deviation:
+            return None  # the unit of the noise differs from state to state
         predictor = self.variant(stochastic=False).predictor()  # without the rows after the lags
         if predictor is None:
             return None

@@ -333,11 +333,8 @@ def polynomial_lanes(value, features, n, coefficients):
 def distances_lanes(value, before, control, after, offsets, p):
     """Add the distances to the row ``value``; ``offsets`` has room for states and controls, twice."""
     nx, nu = int(p[HEAD.nx]), int(p[HEAD.nu])
-    periods, neutral, table = (
-        view(p, int(p[HEAD.periods])),
-        view(p, int(p[HEAD.neutral])),
-        view(p, int(p[HEAD.lengths])),
-    )
+    periods, neutral = view(p, int(p[HEAD.periods])), view(p, int(p[HEAD.neutral]))
+    table = view(p, int(p[HEAD.lengths]))
     earlier = view(offsets, (nx + nu) * LANES)
     for i in range(nx):
         for lane in range(LANES):

@@ -44,20 +44,11 @@ class SetPoint(TrackingTask):
     ) -> None:
         super().__init__(effort=effort, horizon=horizon)
         self.channels, self.low, self.high = channels, low, high
-        self.tolerance, self.rate_tolerance, self.start_spread, self.abort_error = (
-            tolerance,
-            rate_tolerance,
-            start_spread,
-            abort_error,
-        )
+        self.tolerance = tolerance
+        self.limits = {"rate_tolerance": rate_tolerance, "start_spread": start_spread, "abort_error": abort_error}
 
     def goals_on(self, system: System) -> tuple[Goal, ...]:
-        limits = {
-            "rate_tolerance": self.rate_tolerance,
-            "start_spread": self.start_spread,
-            "abort_error": self.abort_error,
-        }
-        return goals_of(self.name, system, self.channels, self.low, self.high, self.tolerance, **limits)
+        return goals_of(self.name, system, self.channels, self.low, self.high, self.tolerance, **self.limits)
 
     def references(self, rng: np.random.Generator) -> Array:
         return np.array([[rng.uniform(goal.low, goal.high) for goal in self.goals]])
@@ -112,12 +103,9 @@ class TrackReference(TrackingTask):
         if self.kind not in PATHS:
             return super().bind(system)
         self.check_system(system)
-        low, high, tolerance = (
-            numbers(f"track_reference: {name}", given, 1, [default])[0]
-            for name, given, default in zip(
-                ("low", "high", "tolerance"), (self.low, self.high, self.tolerance), (-1.0, 1.0, 0.2), strict=True
-            )
-        )
+        (low,) = numbers("track_reference: low", self.low, 1, [-1.0])
+        (high,) = numbers("track_reference: high", self.high, 1, [1.0])
+        (tolerance,) = numbers("track_reference: tolerance", self.tolerance, 1, [0.2])
         return SpaceReference(
             kind=self.kind, period=self.period, size=0.5 * (high - low), tolerance=tolerance, horizon=self.horizon
         ).bind(system)
@@ -180,14 +168,15 @@ class Upright(TrackingTask):
 
     def __init__(
         self,
-        channel: str,
-        target: float | None,
-        tolerance: float,
-        rate_tolerance: float,
-        start_spread: float,
-        **others: Any,
+        channel: str = "",
+        target: float | None = None,
+        tolerance: float = 0.5,
+        rate_tolerance: float = 3.0,
+        start_spread: float = 0.2,
+        effort: float = 0.0,
+        horizon: int = 300,
     ) -> None:
-        super().__init__(**others)
+        super().__init__(effort=effort, horizon=horizon)
         self.channel, self.target = channel, target
         self.tolerance, self.rate_tolerance, self.start_spread = tolerance, rate_tolerance, start_spread
 
@@ -226,19 +215,6 @@ class SwingUp(Upright):
 
     name: ClassVar[str] = "swing_up"
 
-    def __init__(
-        self,
-        *,
-        channel: str = "",
-        target: float | None = None,
-        tolerance: float = 0.5,
-        rate_tolerance: float = 3.0,
-        start_spread: float = 0.2,
-        effort: float = 0.0,
-        horizon: int = 300,
-    ) -> None:
-        super().__init__(channel, target, tolerance, rate_tolerance, start_spread, effort=effort, horizon=horizon)
-
 
 @register_task("balance")
 class Balance(Upright):
@@ -263,5 +239,5 @@ class Balance(Upright):
         effort: float = 0.0,
         horizon: int = 300,
     ) -> None:
-        super().__init__(channel, target, tolerance, rate_tolerance, start_spread, effort=effort, horizon=horizon)
+        super().__init__(channel, target, tolerance, rate_tolerance, start_spread, effort, horizon)
         self.abort_error = abort_error

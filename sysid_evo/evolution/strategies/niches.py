@@ -148,9 +148,7 @@ class Niches(EvolutionStrategy):
     def status(self) -> str:
         """One-line status for the progress display."""
         best = max(self.active, key=lambda island: island.smoothed_quantile)
-        side = (
-            "" if best.side == 0 else f", best with {best.channel} mostly {ABOVE if best.side > 0 else BELOW} neutral"
-        )
+        side = f", best with {best.channel} mostly {ABOVE if best.side > 0 else BELOW} neutral" if best.side else ""
         return f"{len(self.active)} niches{side}"
 
     @property

@@ -232,11 +232,8 @@ def summed_trees(x, u, p, y, scratch):
     """Write the sum of all trees (a predictor, see `stepping`)."""
     n_carry, n_control, pages = int(p[HEAD.n_carry]), int(p[HEAD.n_control]), int(p[HEAD.pages])
     n_out, inputs = int(p[HEAD.n_out]), n_carry + n_control
-    by_lane, place, stack = (
-        view(scratch, inputs * LANES),
-        view(scratch, int(p[HEAD.place])),
-        view(scratch, int(p[HEAD.stack])),
-    )
+    by_lane = view(scratch, inputs * LANES)
+    place, stack = view(scratch, int(p[HEAD.place])), view(scratch, int(p[HEAD.stack]))
     copy(x, scratch, n_carry * LANES)
     copy(u, view(scratch, n_carry * LANES), n_control * LANES)
     for lane in range(LANES):
