@@ -31,7 +31,8 @@ GROUPS = {
     "site": ("docs/test_site",),
     "regressors": (
         "contract/kernels/test_equality", "contract/kernels/test_changed", "contract/kernels/test_compiled_forms",
-        "contract/model_zoo/test_regressor", "unit/evaluation/test_slow_models",
+        "contract/model_zoo/test_regressor", "contract/model_zoo/test_stored_objects", "contract/test_families",
+        "unit/evaluation/test_slow_models",
     ),
 }  # fmt: skip
 """Modules whose paths begin so share what is costly, or each other's time: one worker runs all of them."""
