@@ -56,21 +56,25 @@ def self_test(
         took = time.perf_counter() - began
         sitter = NeutralObserver(connection, robot.system)
         loop = ControlLoop(connection, robot.system, listeners=[sitter], stop=stop)
-        report = loop.run(sitter.pilot, samples=round(seconds / robot.system.dt))
+        report = loop.run(sitter, samples=round(seconds / robot.system.dt))
         handshake = SelfTestFinding("handshake", True, f"{robot.name} answered within {took:.2f} s.", {"seconds": took})
         return (handshake, sitter.link(), sitter.tracker(), _loop(report), *sitter.estimate())
 
 
-class NeutralObserver(Listener):
-    """Records all events while neutral is sent."""
+class NeutralObserver(Listener, Pilot):
+    """Decides on neutral and records all events meanwhile."""
 
     def __init__(self, connection: Connection, system: System) -> None:
-        self.pilot = NeutralPilot(system)
+        self._ages: list[float] = []
         self._connection = connection
         self._system = system
         self._frames: list[Measurement] = []
         self._statuses: list[RobotStatus] = []
         self._round_trips: list[float] = []
+
+    def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
+        self._ages.append(estimate.age)
+        return self._system.neutral_control
 
     def on_measurement(self, measurement: Measurement) -> None:
         self._frames.append(measurement)
@@ -134,7 +138,7 @@ class NeutralObserver(Listener):
 
     def estimate(self) -> tuple[SelfTestFinding, ...]:
         """Delay of the state: the age of the pose when a control is decided, plus that of the estimator."""
-        ages, times = self.pilot.ages, [frame.source_time for frame in self._frames]
+        ages, times = self._ages, [frame.source_time for frame in self._frames]
         if not ages or len(times) < 2:
             return ()
         age = float(np.mean(ages))
@@ -147,18 +151,6 @@ class NeutralObserver(Listener):
         return (
             SelfTestFinding("estimate", True, sentence, {"age": age, "estimator": estimator, "delay": age + estimator}),
         )
-
-
-class NeutralPilot(Pilot):
-    """Decides on neutral and stores the ages of the poses."""
-
-    def __init__(self, system: System) -> None:
-        self.ages: list[float] = []
-        self._neutral = system.neutral_control
-
-    def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
-        self.ages.append(estimate.age)
-        return self._neutral
 
 
 def _loop(report: LoopReport) -> SelfTestFinding:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from model_zoo.grey_box.equation import GreyBoxEquation, kernel_parameters, propagate_hidden, structure_kernel
-from model_zoo.grey_box.parameters import Parameter, ParameterBounds, ParameterCovariance, parameter_covariance
+from model_zoo.grey_box.parameters import Parameter, ParameterBounds, parameter_covariance
 from model_zoo.scaling import positive
 from sysid_evo.data import Dataset, Windows
 from sysid_evo.engine.compiled.open_loop import free_runs
@@ -309,8 +309,8 @@ def best_of(last: LeastSquares, results: Sequence[Array]) -> LeastSquaresFit:
     return min(found, key=lambda one: one.cost)
 
 
-def covariance_of(problem: LeastSquares, best: LeastSquaresFit) -> ParameterCovariance:
-    """Return the covariance of the parameters at the end of a fit."""
+def covariance_of(problem: LeastSquares, best: LeastSquaresFit) -> tuple[Array, float, float]:
+    """Return the `parameter_covariance` at the end of a fit."""
     known = prior_variances(problem.structure.parameters, best.places)
     return parameter_covariance(best.errors, best.jacobian, best.by_hidden, problem.windows.order, known=known)
 

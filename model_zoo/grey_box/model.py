@@ -167,8 +167,21 @@ class GreyBox(DynamicsModel):
             lagged=self.actuator_lag,
             delay=self.longest_delay if self.command_delay else 0,
             substeps=self.substeps,
-            known=known_rates(self, self.rate_of, system, self.law is type(self).acceleration),
+            known=self._known_rates(system),
         )
+
+    def _known_rates(self, system: System) -> tuple[tuple[int, int], ...]:
+        """Return the positions of each key and value of ``rate_of``. Raises `InvalidArgument` with `rate`."""
+        if not self.rate_of:
+            return ()
+        if self.law is not type(self).acceleration:
+            raise InvalidArgument(
+                f"{type(self).__name__}: rate_of names known rates, but rate returns those of all states: write "
+                "acceleration(state, control, p) instead"
+            )
+        pairs = (tuple(self.rate_of), tuple(self.rate_of.values()))
+        positions, rates = (positions_of(self, "state", names, system.state_names) for names in pairs)
+        return tuple(zip(positions, rates, strict=True))
 
     @cached_property
     def integrated(self) -> GreyBoxEquation:
@@ -204,8 +217,8 @@ class GreyBox(DynamicsModel):
         ]
         best = best_of(last, results)
         if any(parameter.spread is not None for parameter in structure.parameters):
-            found = covariance_of(last, best)
-            last = replace(last, noise=found.noise, inflation=found.inflation)
+            _, inflation, noise = covariance_of(last, best)
+            last = replace(last, noise=noise, inflation=inflation)
             best = last.solve(best.places, evaluations=LAST_EVALUATIONS)
         self._learn(last, best)
         if self.residual:
@@ -241,10 +254,10 @@ class GreyBox(DynamicsModel):
         structure = problem.structure
         parameters, box = structure.parameters, structure.box
         known = prior_variances(parameters, best.places)
-        found = covariance_of(problem, best)
+        covariance, _, _ = covariance_of(problem, best)
         slopes = box.slopes(best.places)
-        self.undetermined_, self.determined_ = undetermined_parameters(parameters, best.places, found.covariance, known)
-        self.covariance_ = found.covariance * np.outer(slopes, slopes)
+        self.undetermined_, self.determined_ = undetermined_parameters(parameters, best.places, covariance, known)
+        self.covariance_ = covariance * np.outer(slopes, slopes)
         self.standard_errors_ = np.sqrt(np.diag(self.covariance_))
         if structure.hidden:
             self.hidden_mean_, self.hidden_spread_ = best.hidden.mean(axis=1), best.hidden.std(axis=1) + 1e-9
@@ -261,16 +274,16 @@ class GreyBox(DynamicsModel):
         windows = error_windows(held, self.n_lags)
         for share in SHARES:
             report()
-            self._keep(tried.times(share))
+            self._keep(tried, share)
             errors.append(simulation_error(self, windows))
         better = np.array(errors) * np.where(np.array(SHARES) == 0.0, MAX_ERROR_RATIO, 1.0)
         self.residual_share_ = SHARES[int(np.argmin(better))]
         self.residual_errors_ = [float(errors[SHARES.index(self.residual_share_)]), float(errors[SHARES.index(0.0)])]
-        self._keep(conditioned(shape, noise, *self._residual_data(dataset)).times(self.residual_share_))
+        self._keep(conditioned(shape, noise, *self._residual_data(dataset)), self.residual_share_)
 
-    def _keep(self, residual: ResidualNetwork) -> None:
+    def _keep(self, residual: ResidualNetwork, share: float) -> None:
         self.residual_points_, self.residual_lengths_ = residual.points, residual.lengths
-        self.residual_weights_ = residual.weights
+        self.residual_weights_ = share * residual.weights
 
     def _residual_data(self, dataset: Dataset) -> tuple[Array, Array]:
         """Return inputs (N, n) of the residual at single steps, and the residual of the rates there (N, nx)."""
@@ -356,20 +369,3 @@ def positions_of(model: DynamicsModel, what: str, wanted: Sequence[str], there: 
                 f"{type(model).__name__} needs the {what} {name!r}: the system has {', '.join(there) or 'none'}"
             )
     return tuple(there.index(name) for name in wanted) if wanted else tuple(range(len(there)))
-
-
-def known_rates(
-    model: DynamicsModel, speeds: Mapping[str, str], system: System, accelerates: bool
-) -> tuple[tuple[int, int], ...]:
-    """Return the positions of each key and value of ``speeds``. Raises `InvalidArgument` for a family with `rate`."""
-    if not speeds:
-        return ()
-    if not accelerates:
-        raise InvalidArgument(
-            f"{type(model).__name__}: rate_of names known rates, but rate returns those of all states: write "
-            "acceleration(state, control, p) instead"
-        )
-    positions, rates = (
-        positions_of(model, "state", tuple(names), system.state_names) for names in (speeds, speeds.values())
-    )
-    return tuple(zip(positions, rates, strict=True))

@@ -127,20 +127,12 @@ NAMED = 0.3
 """Share of a direction above which a parameter is named in its sentence."""
 
 
-@dataclass(frozen=True)
-class ParameterCovariance:
-    """Covariance (n, n) of the points in the cube, and the factor by which correlated errors ``inflate`` it."""
-
-    covariance: Array
-    inflation: float
-    noise: float
-
-
 def parameter_covariance(
     errors: Array, jacobian: Array, by_hidden: Array, order: IntArray, *, known: Array
-) -> ParameterCovariance:
-    """Return the covariance of parameters from errors (W, m) and their derivatives (W, m, n), (W, m, nh).
+) -> tuple[Array, float, float]:
+    """Return the covariance (n, n) of points in the cube, its inflation by correlated errors, and the noise.
 
+    They come from errors (W, m) and their derivatives (W, m, n), (W, m, nh).
     The hidden initial states are projected out. Errors within a window and of neighbouring windows are correlated: in
     the sandwich A^-1 B A^-1, B is the sum of squared gradients of whole blocks of time (clustered standard errors,
     Liang and Zeger 1986) and A = J^T J + noise^2 K^-1, with K = ``known`` (n,), the variances without data.
@@ -169,7 +161,7 @@ def parameter_covariance(
     values, vectors = np.linalg.eigh(covariance)
     least = np.einsum("ij,jk,ki->i", vectors.T, inverse, vectors)
     covariance = (vectors * np.maximum(values, np.minimum(least, 1.0))) @ vectors.T
-    return ParameterCovariance(covariance, inflation, noise)
+    return covariance, inflation, noise
 
 
 def undetermined_parameters(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 from scipy.linalg import cho_solve
@@ -34,10 +33,6 @@ class ResidualNetwork:
         """Return the addition to the rates of the measured states, (B, nx)."""
         bumps = [squared_exponential(inputs / one, self.points / one) for one in self.lengths]
         return np.stack([bump @ weight for bump, weight in zip(bumps, self.weights, strict=True)], axis=1)
-
-    def times(self, share: float) -> Self:
-        """Return the network multiplied by ``share``."""
-        return replace(self, weights=share * self.weights)
 
     def predictor(self, structure: GreyBoxEquation) -> Predictor:
         """Return the compiled form, of the structure's carry and the control."""

@@ -137,10 +137,6 @@ class DifferentiableSimulation(ABC):
         signs = np.concatenate([self.mirror.states, self.mirror.controls]).astype(np.float32)
         return np.asarray(samples * np.where(mirrored, signs, np.float32(1.0)))
 
-    def as_recorded(self) -> None:
-        """Treat the following data as recorded, not mirrored, for scoring."""
-        self.flag = self.recorded
-
     def learn(
         self,
         splits: Sequence[tuple[Dataset, Dataset]],
@@ -297,7 +293,7 @@ def validation_errors(model: DifferentiableSimulation, parameters: Array32, held
     """
     trained, layout, batches = model.parameters, model.layout, Batches(held, model.layout.n_lags)
     scale = model.standard.state_scale
-    model.as_recorded()
+    model.flag = model.recorded
     model.parameters = parameters
     most, longest = max(len(windows) for windows in held), max(windows.horizon for windows in held)
     square: list[Array] = [np.zeros((windows.horizon, layout.nx)) for windows in held]

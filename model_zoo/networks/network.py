@@ -86,21 +86,6 @@ Array32: TypeAlias = npt.NDArray[Any]
 """Single-precision array; training uses no other."""
 
 
-@dataclass(frozen=True)
-class ActivationTrace:
-    """Stored values of C calls with B rows: inputs and hidden values (C, M, B, n), and the gradients of every layer."""
-
-    values: tuple[Array32, ...]
-    slopes: tuple[Array32, ...]
-    spare: tuple[Array32, ...]
-
-    @classmethod
-    def of(cls, sizes: Sequence[int], calls: int, members: int, batch: int) -> ActivationTrace:
-        made = [np.empty((calls, members, batch, size), dtype=np.float32) for size in (*sizes[:-1], *sizes[1:])]
-        spare = [np.empty((members, batch, size), dtype=np.float32) for size in sizes]
-        return cls(tuple(made[: len(sizes) - 1]), tuple(made[len(sizes) - 1 :]), tuple(spare))
-
-
 class Layers:
     """M networks as in `Network`, evaluated call by call, then differentiated backwards.
 
@@ -116,7 +101,7 @@ class Layers:
         self.per_scale: Array32 = (1.0 / scale[:, None]).astype(np.float32)
         self.offset: Array32 = (centre / scale).astype(np.float32)
         self.size = sum((n_in + 1) * n_out for n_in, n_out in pairwise(sizes))
-        self._traces: dict[tuple[int, int], ActivationTrace] = {}
+        self._traces: dict[tuple[int, int], tuple[list[Array32], list[Array32], list[Array32]]] = {}
 
     def flat(self, network: Network) -> Array32:
         """Return the parameters (M, P) of a network of this shape."""
@@ -143,13 +128,19 @@ class Layers:
     def reserve(self, calls: int, batch: int) -> Array32:
         """Allocate memory for ``calls`` calls with ``batch`` rows; return the inputs (C, M, B, n_in), to be filled."""
         if (calls, batch) not in self._traces:
-            self._traces[calls, batch] = ActivationTrace.of(self.sizes, calls, self.members, batch)
-        self.trace = self._traces[calls, batch]
-        return self.trace.values[0]
+            inner, outer = (
+                [np.empty((calls, self.members, batch, size), dtype=np.float32) for size in sizes]
+                for sizes in (self.sizes[:-1], self.sizes[1:])
+            )
+            spare = [np.empty((self.members, batch, size), dtype=np.float32) for size in self.sizes]
+            self._traces[calls, batch] = inner, outer, spare
+        # inputs and hidden values of all calls, the gradients of every layer, and room for one call
+        self.values, self.slopes, self.spare = self._traces[calls, batch]
+        return self.values[0]
 
     def forward(self, call: int) -> Array32:
         """Return the outputs (M, B, n_out) for the inputs of ``call``."""
-        values, last = self.trace.values, len(self.weights) - 1
+        values, last = self.values, len(self.weights) - 1
         for layer in range(last):
             after = values[layer + 1][call]
             np.matmul(values[layer][call], self.weights[layer], out=after)
@@ -161,10 +152,10 @@ class Layers:
 
     def backward(self, call: int, gradient: Array32, inputs: int) -> Array32:
         """Return the gradient (M, B, ``inputs``) by the first inputs, from that by the outputs (M, B, n_out)."""
-        values, slopes, last = self.trace.values, self.trace.slopes, len(self.weights) - 1
+        values, slopes, last = self.values, self.slopes, len(self.weights) - 1
         slopes[last][call] = gradient
         for layer in range(last, 0, -1):
-            before, spare = slopes[layer - 1][call], self.trace.spare[layer]
+            before, spare = slopes[layer - 1][call], self.spare[layer]
             np.matmul(slopes[layer][call], np.swapaxes(self.weights[layer], 1, 2), out=before)
             np.multiply(values[layer][call], values[layer][call], out=spare)
             np.subtract(1.0, spare, out=spare)
@@ -173,9 +164,9 @@ class Layers:
 
     def gradient(self) -> Array32:
         """Return the gradient (M, P) by the parameters, over all calls."""
-        parts, ones = [], np.ones((1, self.trace.spare[0].shape[1]), dtype=np.float32)
+        parts, ones = [], np.ones((1, self.spare[0].shape[1]), dtype=np.float32)
         last = len(self.weights) - 1
-        for layer, (value, slope) in enumerate(zip(self.trace.values, self.trace.slopes, strict=True)):
+        for layer, (value, slope) in enumerate(zip(self.values, self.slopes, strict=True)):
             by_weight = np.matmul(np.swapaxes(value, 2, 3), slope).sum(axis=0)
             by_bias = np.matmul(ones, slope).sum(axis=0)
             if layer == last:

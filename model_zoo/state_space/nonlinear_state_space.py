@@ -116,7 +116,8 @@ class NetworkStateSpace(StateSpaceModel):
         self, problem: EstimationProblem, one: OrderCandidate, count: int, rng: np.random.Generator, counter: Counter
     ) -> Trained:
         """Return ``count`` networks of one order, the best of those tried and of as many more, trained to the end."""
-        likely = one.likely(problem)
+        scores = criterion(one.networks.error, one.networks.spaces, problem)
+        likely = [MIXTURES[i] for i in np.argsort(scores)[:N_MIXTURES]]
         more = self._started(problem, one.linear, list(islice(cycle(likely), 2 * count)), rng, counter)
         pool = joined(one.networks, more)
         pool = train(pool.spaces, problem.short, pool.starts, 2 * self.screening_iterations, counter.advance)
@@ -267,11 +268,6 @@ class OrderCandidate:
     linear: Trained
     networks: Trained
     found: float
-
-    def likely(self, problem: EstimationProblem) -> list[Mixture]:
-        """Return the mixtures of the best networks, the best first."""
-        scores = criterion(self.networks.error, self.networks.spaces, problem)
-        return [MIXTURES[i] for i in np.argsort(scores)[:N_MIXTURES]]
 
 
 def best_networks(trained: Trained, problem: EstimationProblem, count: int) -> Trained:

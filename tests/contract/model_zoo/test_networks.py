@@ -198,7 +198,7 @@ def test_what_was_trained_is_what_steps(family, car_data, monkeypatch):
     model = make_model(family, **small, **({"members": 1} if family == "mlp_ensemble" else {}))
     model.fit(car_data, rng=0)
     trained, trained.parameters = seen[-1]
-    trained.as_recorded()
+    trained.flag = trained.recorded
     windows = car_data.windows(5, stride=20, history=2)
     shots = TrainingWindows.at(car_data, windows.episode, windows.start, 5)
     found = trained.run(Batches([shots], 2).of([np.arange(len(shots))], 5))
@@ -411,9 +411,6 @@ class Drifting:
 
     def augmented(self, samples, rng):
         return samples
-
-    def as_recorded(self):
-        return
 
 
 def test_training_follows_the_weights_of_the_steps():
