@@ -44,7 +44,7 @@ def robot_of(name, **parameters):
     return GymnasiumRobot(id=name, **parameters)
 
 
-def learned(robot, steps=4000):
+def learned(robot, steps=2000):
     data = robot.record(seed=1, duration=steps * robot.system.dt).dataset
     return learn_task(robot.default_task, data), data
 
@@ -269,7 +269,7 @@ def test_a_recording_reports_that_its_reward_is_badly_known():
     if "Lucky-v0" not in gymnasium.registry:
         gymnasium.register("Lucky-v0", entry_point=Lucky, max_episode_steps=40)
     robot = robot_of("Lucky-v0")
-    sentences = reward_sentences(robot.default_task, robot.record(seed=1, duration=120.0).dataset)
+    sentences = reward_sentences(robot.default_task, robot.record(seed=1, duration=90.0).dataset)
     assert sentences[0].startswith("Return of the")
     assert sentences[-1].startswith("The learned reward is badly known: held-out error")
 
