@@ -14,13 +14,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from sklearn.dummy import DummyRegressor
-from sklearn.ensemble import (
-    ExtraTreesRegressor,
-    GradientBoostingRegressor,
-    HistGradientBoostingRegressor,
-    RandomForestRegressor,
-)
-from sklearn.tree import DecisionTreeRegressor, ExtraTreeRegressor
 
 from model_zoo.estimators import xgboost_text
 from sysid_evo.models.kernels.trees import Tree
@@ -140,10 +133,12 @@ def _xgboost(estimator: Any) -> Ensemble | None:
 
 
 READERS: Mapping[str, Callable[[Any], Ensemble | None]] = {
-    **{f"sklearn.{kind.__name__}": _single_tree for kind in (DecisionTreeRegressor, ExtraTreeRegressor)},
-    **{f"sklearn.{kind.__name__}": _forest for kind in (RandomForestRegressor, ExtraTreesRegressor)},
-    f"sklearn.{GradientBoostingRegressor.__name__}": _gradient_boosting,
-    f"sklearn.{HistGradientBoostingRegressor.__name__}": _hist_gradient_boosting,
+    "sklearn.DecisionTreeRegressor": _single_tree,
+    "sklearn.ExtraTreeRegressor": _single_tree,
+    "sklearn.RandomForestRegressor": _forest,
+    "sklearn.ExtraTreesRegressor": _forest,
+    "sklearn.GradientBoostingRegressor": _gradient_boosting,
+    "sklearn.HistGradientBoostingRegressor": _hist_gradient_boosting,
     "lightgbm.Booster": _lightgbm,
     "lightgbm.LGBMRegressor": _lightgbm,
     "xgboost.Booster": _xgboost,

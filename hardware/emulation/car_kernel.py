@@ -15,7 +15,7 @@ from hardware.emulation.car_physics import (
     Coefficients,
 )
 from sysid_evo.angles import frame_change
-from sysid_evo.kernels import LANES, DynamicsKernel, KernelSource, Layout, load, store, view, where_at_most, where_less
+from sysid_evo.kernels import LANES, Layout, load, store, view, where_at_most, where_less
 from sysid_evo.models.kernels.stepping import copy
 
 HEAD = Layout("repeats")
@@ -25,11 +25,6 @@ NOISE_KEEP, FORCE_NOISE, YAW_NOISE = (
 )
 CREEP = 1.0 / CREEP_SPEED
 SIXTH = 1.0 / 6.0
-
-
-def car_kernel(coefficients: Coefficients, repeats: int) -> DynamicsKernel:
-    """Return the kernel of ``repeats`` fine steps under a held control."""
-    return DynamicsKernel(KernelSource(car), HEAD.pack(coefficients, repeats=repeats))
 
 
 def car(carry, control, noise, parameters, scratch):

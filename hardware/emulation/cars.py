@@ -9,14 +9,14 @@ from scipy.special import ndtr
 
 from hardware.arguments import check_number
 from hardware.connection import Connection
-from hardware.emulation.car_kernel import car_kernel
+from hardware.emulation.car_kernel import HEAD, car
 from hardware.emulation.car_physics import BODY, BUFFER, FINE_DT, LATENCY, CarParameters, Lane, car_step, coefficients
 from hardware.emulation.parameters import of_kind
 from hardware.emulation.tracked_robots import TrackedConnection, TrackedRobot
 from hardware.recording.record import RecordingJob, RecordingResult, record_through_loop
 from hardware.toy_car import CAR
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.kernels import DynamicsKernel, KernelSource
 from sysid_evo.models import Dynamics, PlainDynamics
 from sysid_evo.randomness import keyed_generator
 from sysid_evo.registry import register_robot
@@ -79,7 +79,7 @@ class ToyCarDynamics(PlainDynamics):
 
     def held_kernel(self, repeats: int) -> DynamicsKernel:
         """Return the compiled form of ``repeats`` steps: the delayed commands are shifted only once."""
-        return car_kernel(self.coefficients, repeats)
+        return DynamicsKernel(KernelSource(car), HEAD.pack(self.coefficients, repeats=repeats))
 
 
 @register_robot("emulated_car")

@@ -158,7 +158,6 @@ class SensedRobot(SimulatedRobot):
         self.name = name
         self.physics = physics
         self.default_task = default_task
-        self.frame_period = physics.system.dt
         self.dynamics: HeldControl = HeldControl(physics, repeats)
         self.system = self.dynamics.system
 
@@ -169,7 +168,7 @@ class SensedRobot(SimulatedRobot):
         self, *, seconds: float, seed: int | None = None, stop: StopRequest | None = None
     ) -> tuple[SelfTestFinding, ...]:
         """Report the sensor readings at rest, and the response of the equations to each control."""
-        period, readings = self.frame_period, []
+        period, readings = self.physics.system.dt, []
         stop = StopRequest() if stop is None else stop
         with self.connect(seed=seed) as connection:
             for _ in range(max(2, round(seconds / period))):
@@ -217,7 +216,7 @@ class SensedRobot(SimulatedRobot):
         """Return the sensor readings during a manoeuvre, up to a stop, and the rates estimated from them."""
         release, session = seeds.spawn(2)
         state = self.physics.release_state(np.random.default_rng(release))
-        system, period = self.system, self.frame_period
+        system, period = self.system, self.physics.system.dt
         seed = int(session.generate_state(1, np.uint64)[0])
         readings, controls = [], []
         with SensedConnection(self.name, self.physics, seed=seed, state=state) as connection:

@@ -21,9 +21,7 @@ CLOCK_TOLERANCE = 1e-9  # s
 
 
 class SimulatedRobot(Robot):
-    """A robot whose sessions run in simulated time, with a frame of the tracker every ``frame_period`` s."""
-
-    frame_period: float
+    """A robot whose sessions run in simulated time."""
 
     @abstractmethod
     def connect(self, *, seed: int | None = None) -> SimulatedConnection:

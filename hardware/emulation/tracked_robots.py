@@ -28,7 +28,6 @@ class TrackedRobot(SimulatedRobot):
             raise IncompatibleSystem(f"robot {name!r}: the emulated tracker needs a planar body, got another motion")
         self.name = name
         self.physics = physics
-        self.frame_period = physics.system.dt
         self.dynamics: HeldControl = HeldControl(physics, repeats)
         self.system = self.dynamics.system
         self.gate = GateLimits.read(gate)
@@ -105,7 +104,6 @@ class ModelRobot(SimulatedRobot):
         self.name = name
         self.dynamics: Dynamics = dynamics
         self.system = dynamics.system
-        self.frame_period = dynamics.system.dt / FRAMES
 
     def connect(self, *, seed: int | None = None) -> ModelConnection:
         return ModelConnection(self.name, self.dynamics, seed=seed)

@@ -39,7 +39,7 @@ class JournalReader(Reader):
                 raise InvalidData(
                     f"{path.name}: column {name!r} is missing.{hint} The journal has: {', '.join(names)}."
                 )
-        log, rows = raw_log_and_frames(journal)
+        log, rows = raw_log(journal)
         values = np.column_stack([log.time, log.pose, log.controls])
         data = {name: values[:, names.index(name)].copy() for name in columns}
         return Table(path, rows, data)
@@ -56,19 +56,15 @@ BREAK = 3.0
 CLOCK_TOLERANCE = 1e-6  # s
 
 
-def raw_log(journal: Journal, limits: GateLimits | None = None) -> RawLog:
+def raw_log(journal: Journal, limits: GateLimits | None = None) -> tuple[RawLog, IntArray]:
     """Return the run in ``journal``, from its first tick, as rows of poses and commands in force.
+
+    Also return the numbers (N,) of its frames in the journal, counted from 1.
 
     The frames pass the same gate as in the loop, or one of other ``limits``; rejected ones are left out. Where a track
     breaks, enough further frames are left out for the preparation to split there. A command is in force from its time
     of sending until the next, for 150 ms at most. Raises `InvalidData` if there are fewer than two rows.
     """
-    rows, _ = raw_log_and_frames(journal, limits)
-    return rows
-
-
-def raw_log_and_frames(journal: Journal, limits: GateLimits | None = None) -> tuple[RawLog, IntArray]:
-    """Return `raw_log` and the numbers (N,) of its frames in the journal, counted from 1."""
     commands = [event.command for event in journal.commands]
     if commands and isinstance(journal.events[-1], TimedCommand):
         commands.pop()  # the neutral command at the end of a run acts on none of its frames

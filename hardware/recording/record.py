@@ -156,7 +156,7 @@ def read_logs(folder: Path, names: Iterable[str], limits: GateLimits | None = No
         path = folder / f"{name}{SUFFIX}"
         if path.is_file():
             try:
-                logs.append(raw_log(read_journal(path), limits))
+                logs.append(raw_log(read_journal(path), limits)[0])
             except InvalidData:
                 continue
     return logs

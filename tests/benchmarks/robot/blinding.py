@@ -128,6 +128,6 @@ def _last_pose(host: Host, window: float) -> float:
 def _fastest(host: Host) -> tuple[float, float]:
     """Return the largest speed and yaw rate that the loop accepted or that the prepared recording holds."""
     seen = [np.array([entry.value["state"] for entry in host.entries() if entry.event == "decide"])]
-    seen += [episode.states for episode in prepare(raw_log(read_journal(host.recording)), CAR).episodes]
+    seen += [episode.states for episode in prepare(raw_log(read_journal(host.recording))[0], CAR).episodes]
     states = np.concatenate(seen)
     return float(np.hypot(states[:, 0], states[:, 1]).max()), float(np.abs(states[:, 2]).max())
