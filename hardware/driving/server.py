@@ -77,7 +77,6 @@ def served(
     panel: DrivePanel, keyboard: Keyboard, address: PageAddress, *, stop: StopRequest, announce: Callable[[str], None]
 ) -> Iterator[PageServer]:
     """Serve the page during the ``with`` block, which is stopped if the server dies; ``announce`` gets the URL."""
-
     died = partial(stop.request, StopReason.THREAD_DIED)
     with PageServer(panel, keyboard, host=address.host, port=address.port, on_server_end=died) as page:
         announce(page.url)

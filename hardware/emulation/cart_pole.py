@@ -11,6 +11,7 @@ import numpy as np
 
 from hardware.emulation.parameters import RobotParameters, of_kind, parameter
 from hardware.emulation.sensed_robot import ScalarPhysics, SensedRobot, Sensor
+from sysid_evo.angles import TURN
 from sysid_evo.registry import register_robot
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
@@ -19,19 +20,7 @@ FINE_DT = 0.005  # s
 REPEATS = 10  # fine steps in one sample of 50 ms
 GRAVITY = 9.81  # m/s2
 FORCE = 5.0  # N, of the motor
-ENCODER = 2.0 * math.pi / 4096.0  # rad
-
-SYSTEM = System(
-    states=(
-        Channel("position", "m", -2.0, 2.0, description="0 in the middle of the rail"),
-        Channel("speed", "m/s"),
-        Channel("angle", "rad", period=2.0 * math.pi, description="0 hanging, pi upright, positive counter-clockwise"),
-        Channel("angular_speed", "rad/s"),
-    ),
-    controls=(Channel("force", "N", -FORCE, FORCE, description="positive pushes towards larger positions"),),
-    dt=FINE_DT,
-    name="cart-pole",
-)
+ENCODER = TURN / 4096.0  # rad
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +62,17 @@ class CartPolePhysics(ScalarPhysics):
         F' = (command - F) / motor_lag
     """
 
-    system = SYSTEM
+    system = System(
+        states=(
+            Channel("position", "m", -2.0, 2.0, description="0 in the middle of the rail"),
+            Channel("speed", "m/s"),
+            Channel("angle", "rad", period=TURN, description="0 hanging, pi upright, positive counter-clockwise"),
+            Channel("angular_speed", "rad/s"),
+        ),
+        controls=(Channel("force", "N", -FORCE, FORCE, description="positive pushes towards larger positions"),),
+        dt=FINE_DT,
+        name="cart-pole",
+    )
     sensors: ClassVar[Mapping[str, Sensor]] = {"position": Sensor(0.0002, 0.0001), "angle": Sensor(0.0005, ENCODER)}
     estimated_rates: ClassVar[Mapping[str, str]] = {"speed": "position", "angular_speed": "angle"}
     law = cart_pole_step

@@ -11,6 +11,7 @@ import numpy as np
 
 from hardware.emulation.parameters import RobotParameters, of_kind, parameter
 from hardware.emulation.sensed_robot import ScalarPhysics, SensedRobot, Sensor
+from sysid_evo.angles import TURN
 from sysid_evo.registry import register_robot
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
@@ -19,17 +20,7 @@ FINE_DT = 0.005  # s
 REPEATS = 10  # fine steps in one sample of 50 ms
 STICKING = 0.1  # rad/s: dry friction grows up to this speed
 TORQUE = 0.45  # N m, of the motor; holding the pendulum level takes 1.2
-ENCODER = 2.0 * math.pi / 4096.0  # rad
-
-SYSTEM = System(
-    states=(
-        Channel("angle", "rad", period=2.0 * math.pi, description="0 hanging, pi upright, positive counter-clockwise"),
-        Channel("angular_speed", "rad/s"),
-    ),
-    controls=(Channel("torque", "N m", -TORQUE, TORQUE),),
-    dt=FINE_DT,
-    name="pendulum",
-)
+ENCODER = TURN / 4096.0  # rad
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +53,15 @@ class PendulumPhysics(ScalarPhysics):
         d torque / dt = (command - torque) / motor_lag
     """
 
-    system = SYSTEM
+    system = System(
+        states=(
+            Channel("angle", "rad", period=TURN, description="0 hanging, pi upright, positive counter-clockwise"),
+            Channel("angular_speed", "rad/s"),
+        ),
+        controls=(Channel("torque", "N m", -TORQUE, TORQUE),),
+        dt=FINE_DT,
+        name="pendulum",
+    )
     sensors: ClassVar[Mapping[str, Sensor]] = {"angle": Sensor(0.0005, ENCODER)}
     estimated_rates: ClassVar[Mapping[str, str]] = {"angular_speed": "angle"}
     law = pendulum_step

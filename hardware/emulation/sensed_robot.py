@@ -36,10 +36,6 @@ class Sensor:
     resolution: float = 0.0
 
 
-EXACT = Sensor()
-"""A sensor without errors."""
-
-
 class SensedPhysics(PlainDynamics):
     """Physics in fine steps, and their sensors.
 
@@ -58,7 +54,9 @@ class SensedPhysics(PlainDynamics):
     def measured_sensors(self) -> Mapping[str, Sensor]:
         """The sensor of each state that is not estimated."""
         return {
-            name: self.sensors.get(name, EXACT) for name in self.system.state_names if name not in self.estimated_rates
+            name: self.sensors.get(name, Sensor())
+            for name in self.system.state_names
+            if name not in self.estimated_rates
         }
 
 

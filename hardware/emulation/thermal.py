@@ -19,13 +19,6 @@ REPEATS = 4  # fine steps in one sample of 0.2 s
 LATENCY = 8  # fine steps: 0.4 s from the command to the power stage
 ROOM = 20.0  # degC
 
-SYSTEM = System(
-    states=(Channel("temperature", "degC", 0.0, 100.0, neutral=ROOM),),
-    controls=(Channel("heater", "", 0.0, 1.0),),
-    dt=FINE_DT,
-    name="thermal",
-)
-
 
 @dataclass(frozen=True, kw_only=True)
 class ThermalParameters(RobotParameters):
@@ -62,7 +55,12 @@ class ThermalPhysics(ScalarPhysics):
     At a start the element is in equilibrium with the block.
     """
 
-    system = SYSTEM
+    system = System(
+        states=(Channel("temperature", "degC", 0.0, 100.0, neutral=ROOM),),
+        controls=(Channel("heater", "", 0.0, 1.0),),
+        dt=FINE_DT,
+        name="thermal",
+    )
     sensors: ClassVar[Mapping[str, Sensor]] = {"temperature": Sensor(0.05, 0.0625)}
     law = thermal_step
     nominal = ThermalParameters()

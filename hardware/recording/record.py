@@ -57,10 +57,9 @@ def record_through_loop(robot: Connectable, manoeuvres: Sequence[Manoeuvre], job
 
     Raises `LinkLost` or `InvalidData` if it is too short for a data set.
     """
-    check_loop(robot.system)
     with tempfile.TemporaryDirectory() as temporary:
         place = Path(temporary) if job.folder is None else job.folder
-        report = record_journals(robot, manoeuvres, place, seed=job.seed, stop=job.stop, progress=job.progress)
+        report = record_journals(robot, manoeuvres, place, job)
         logs = read_logs(place, [manoeuvre.name for manoeuvre in manoeuvres])
     try:
         return RecordingResult(tuple(logs), prepare_logs(logs, robot.system), report)
@@ -70,20 +69,12 @@ def record_through_loop(robot: Connectable, manoeuvres: Sequence[Manoeuvre], job
         raise
 
 
-def record_journals(
-    robot: Connectable,
-    manoeuvres: Sequence[Manoeuvre],
-    folder: Path,
-    *,
-    seed: int,
-    stop: StopRequest | None = None,
-    progress: Progress | None = None,
-) -> LoopReport:
+def record_journals(robot: Connectable, manoeuvres: Sequence[Manoeuvre], folder: Path, job: RecordingJob) -> LoopReport:
     """Drive each manoeuvre through the control loop into a journal of its own, ``folder/NAME.rcj``.
 
-    An emulated robot begins each in a session of its own, drawn from ``seed``; a physical one stays connected and is at
+    An emulated robot begins each in a session of its own, drawn from the seed; a physical one stays connected and is at
     rest in neutral for 2 s in between. The first fault ends the recording: the report names it, and the journals keep
-    the data up to it. ``progress`` counts control samples. Raises `LinkLost` if the robot cannot be reached; before it
+    the data up to it. Progress counts control samples. Raises `LinkLost` if the robot cannot be reached; before it
     connects, `InvalidArgument` if one of the journals exists or cannot be created, `IncompatibleSystem` if the loop
     cannot drive the system.
     """
@@ -92,12 +83,11 @@ def record_journals(
     check_loop(robot.system)
     check_journals(folder, [manoeuvre.name for manoeuvre in manoeuvres])
     total = sum(len(manoeuvre.controls) for manoeuvre in manoeuvres)
-    done = 0
-    stop = StopRequest() if stop is None else stop
+    done, stop = 0, job.stop
 
     def count(samples: int) -> None:
-        if progress is not None:
-            progress(done + samples, total)
+        if job.progress is not None:
+            job.progress(done + samples, total)
 
     # Journals wait for the disk when they close, which may take longer than the time to live of a command.
     with ExitStack() as journals, ExitStack() as stack:
@@ -105,7 +95,7 @@ def record_journals(
         for number, manoeuvre in enumerate(manoeuvres):
             if connection is None or robot.dynamics is not None:
                 stack.close()
-                own = np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1, np.uint64)
+                own = np.random.SeedSequence(job.seed, spawn_key=(number,)).generate_state(1, np.uint64)
                 with stop.answer(robot.name, math.inf):
                     connection = stack.enter_context(robot.connect(seed=int(own[0])))
             else:

@@ -52,21 +52,15 @@ class KnownReward:
     most: float = np.inf
 
 
-SWING = KnownReward(
-    gymnasium_rewards.pendulum,
-    gymnasium_rewards.never,
-    -(np.pi**2 + 0.1 * gymnasium_rewards.FASTEST_SWING**2 + 0.001 * 4.0),
-    200,
-)
-
-CLIMB = KnownReward(gymnasium_rewards.continuous_hill, gymnasium_rewards.on_continuous_hill, -0.1, 999)
-
+LEAST_SWING = -(np.pi**2 + 0.1 * gymnasium_rewards.FASTEST_SWING**2 + 0.001 * 4.0)
 RULES: Mapping[str, KnownReward] = {
-    "Pendulum-v1": SWING,
+    "Pendulum-v1": KnownReward(gymnasium_rewards.pendulum, gymnasium_rewards.never, LEAST_SWING, 200),
     "CartPole-v0": KnownReward(gymnasium_rewards.one, gymnasium_rewards.fallen, 0.0, 200, most=1.0),
     "CartPole-v1": KnownReward(gymnasium_rewards.one, gymnasium_rewards.fallen, 0.0, 500, most=1.0),
     "MountainCar-v0": KnownReward(gymnasium_rewards.hill, gymnasium_rewards.on_hill, -1.0, 200),
-    "MountainCarContinuous-v0": CLIMB,
+    "MountainCarContinuous-v0": KnownReward(
+        gymnasium_rewards.continuous_hill, gymnasium_rewards.on_continuous_hill, -0.1, 999
+    ),
     "Acrobot-v1": KnownReward(gymnasium_rewards.acrobot, gymnasium_rewards.raised, -1.0, 500),
 }
 """Rewards of the classic environments."""

@@ -11,7 +11,7 @@ from hardware.control_loop import ControlLoop
 from hardware.emulation.tracked_robots import TrackedRobot
 from hardware.recording.journal import read_journal
 from hardware.recording.manoeuvres import Manoeuvre
-from hardware.recording.record import record_journals
+from hardware.recording.record import RecordingJob, record_journals
 from hardware.run_report import StopReason
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.models import Dynamics
@@ -200,7 +200,7 @@ class Sled(Dynamics):
 
 def sledged(folder, gate):
     robot = TrackedRobot("sled", Sled(), repeats=10, gate=gate)
-    return record_journals(robot, [Manoeuvre("away", np.ones((40, 1)))], folder, seed=1)
+    return record_journals(robot, [Manoeuvre("away", np.ones((40, 1)))], folder, RecordingJob(1))
 
 
 def test_a_robot_that_is_too_fast_for_the_gate_is_lost_with_its_speed_the_limit_and_the_key(tmp_path):

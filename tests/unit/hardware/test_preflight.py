@@ -12,7 +12,7 @@ from hardware.driving.keyboard import Keyboard
 from hardware.driving.trials import RobotRunner
 from hardware.preflight import check_driving, check_recording
 from hardware.recording.manoeuvres import Manoeuvre
-from hardware.recording.record import record_journals
+from hardware.recording.record import RecordingJob, record_journals
 from hardware.robot import Robot, find_robot
 from hardware.run_report import StopRequest
 from hardware.self_test import self_test
@@ -73,7 +73,7 @@ def test_a_robot_that_is_too_slow_is_refused_by_everything_that_drives_before_it
     for drive in (
         lambda: check_recording(robot, None, duration=360.0),
         lambda: check_driving(robot, task),
-        lambda: record_journals(robot, [Manoeuvre("rest", np.zeros((9, 2)))], tmp_path, seed=0),
+        lambda: record_journals(robot, [Manoeuvre("rest", np.zeros((9, 2)))], tmp_path, RecordingJob(0)),
         lambda: RobotRunner(robot).bind(RecurrentNetwork(), task)(np.zeros((1, 78)), np.zeros(1, dtype=np.uint64)),
         lambda: self_test(robot),
         lambda: next(hand_trials(robot, task, keyboard, instruments, seed_of=lambda index: index, stop=StopRequest())),
@@ -138,7 +138,7 @@ def test_folders_that_cannot_take_the_journals_are_refused_before_the_first_mano
             check_recording(Parked(car), folder, duration=60.0)
     manoeuvres = [Manoeuvre(name, np.zeros((9, 2))) for name in ("rest", "weaving")]
     with pytest.raises(InvalidArgument, match=r"weaving\.rcj: a recording exists already"):
-        record_journals(Parked(car), manoeuvres, tmp_path, seed=0)
+        record_journals(Parked(car), manoeuvres, tmp_path, RecordingJob(0))
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="everything is permitted to root")

@@ -10,7 +10,7 @@ from hardware.emulation.cars import ToyCarDynamics
 from hardware.emulation.tracked_robots import TrackedRobot
 from hardware.recording.journal_reader import JournalReader
 from hardware.recording.manoeuvres import Manoeuvre, excitation_manoeuvres
-from hardware.recording.record import prepare_logs, read_logs, record_journals, save_raw_log
+from hardware.recording.record import RecordingJob, prepare_logs, read_logs, record_journals, save_raw_log
 from hardware.run_report import StopReason, StopRequest
 from sysid_evo.data.columns import load_columns
 from sysid_evo.data.dataset import Dataset
@@ -65,7 +65,7 @@ def recorded(tmp_path):
 
     def run(robot, manoeuvres, **options):
         folder = tmp_path / str(next(count))
-        run.report = record_journals(robot, manoeuvres, folder, **{"seed": 1, **options})
+        run.report = record_journals(robot, manoeuvres, folder, RecordingJob(**{"seed": 1, **options}))
         return read_logs(folder, [one.name for one in manoeuvres])
 
     return run
@@ -212,7 +212,7 @@ def test_saved_log_is_read_back_by_its_column_map(robot, rng, tmp_path, recorded
 
 def test_journals_are_read_as_logs(robot, rng, tmp_path):
     manoeuvre = short(rng, 100)
-    record_journals(robot, [manoeuvre], tmp_path / "journal", seed=1)
+    record_journals(robot, [manoeuvre], tmp_path / "journal", RecordingJob(1))
     (log,) = read_logs(tmp_path / "journal", ["short"])
     save_raw_log(log, robot.system, tmp_path / "raw" / "short.csv")
     (from_journal,) = Dataset.read(tmp_path / "journal").episodes
