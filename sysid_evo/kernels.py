@@ -296,17 +296,12 @@ class Signature:
 
     def of_pointers(self) -> str:
         """Return the type, as text for a generated file, of a function that is passed, with addresses of its arrays."""
-        return f"types.void({', '.join(f'types.CPointer({kind}.dtype)' for kind in self._arrays())})"
-
-    def _arrays(self) -> list[str]:
-        others = [
-            name for name, kind in self.arguments.items() if kind not in (ArgumentKind.REALS, ArgumentKind.WHOLES)
-        ]
+        others = [name for name, kind in self.arguments.items() if kind not in (REALS, INTEGERS)]
         if others:
             raise InvalidArgument(
                 f"a kernel that is passed must only have arrays as arguments, got {', '.join(others)}"
             )
-        return [kind.value for kind in self.arguments.values() if isinstance(kind, ArgumentKind)]
+        return f"types.void({', '.join(f'types.CPointer({_text(kind)}.dtype)' for kind in self.arguments.values())})"
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Signature) and list(self.arguments.items()) == list(other.arguments.items())

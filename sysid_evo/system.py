@@ -388,7 +388,8 @@ class System(Displayed):
         if self.motion != other.motion:
             found.append(f"motion {_motion_text(self)} against {_motion_text(other)}")
         if self.advance != other.advance:
-            found.append(f"controls logged {' against '.join(_logged(one) for one in (self, other))} each step")
+            ours, others = ("after", "before") if self.advance else ("before", "after")
+            found.append(f"controls logged {ours} against {others} each step")
         return tuple(found)
 
     def frame_rotation(self, state: Array) -> Array:
@@ -462,10 +463,6 @@ def _motion_text(system: System) -> str:
     fields = system.motion.to_dict()
     kind = fields.pop("kind", "")
     return f"{kind} ({', '.join(f'{role} = {state}' for role, state in fields.items())})"
-
-
-def _logged(system: System) -> str:
-    return "after" if system.advance else "before"
 
 
 def _described(channel: Channel) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -257,10 +257,8 @@ def drive_controller(
     seeds = evaluation.transfer_seeds(seed, trials)
     if robot.stepped:
         return _step(champion, robot, seeds, run, folder, page)
-    with ExitStack() as stack:
-        recorder = None if folder is None else hardware.recorder_of(folder, robot, CONTROLLED)
-        if recorder is not None:
-            stack.enter_context(recorder)
+    recorder = None if folder is None else hardware.recorder_of(folder, robot, CONTROLLED)
+    with recorder or nullcontext():
         code = _loop(champion, robot, seeds, seed, run, tracker_origin, recorder, page)
     if folder is not None:
         _store(folder, [(CONTROLLED, None)], robot.system)

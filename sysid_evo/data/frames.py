@@ -14,7 +14,7 @@ from sysid_evo.data.trajectory import TERMINATED, TRUNCATED, Trajectory
 from sysid_evo.errors import ArtefactError, InvalidArgument, InvalidData, SysidEvoError
 from sysid_evo.files import write_atomically
 from sysid_evo.system import System
-from sysid_evo.types import Array, BoolArray
+from sysid_evo.types import Array
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -117,7 +117,8 @@ def frame_of(system: System, episodes: Sequence[Trajectory]) -> pd.DataFrame:
         channel_names(system, REWARD, TERMINATED, TRUNCATED)
         frame[REWARD] = np.concatenate([_padded(episode.rewards, len(episode)) for episode in episodes])
         for name in (TERMINATED, TRUNCATED):
-            frame[name] = np.concatenate([_is_last(episode, episode.ending == name) for episode in episodes])
+            ended = [[*[False] * (len(episode) - 1), episode.ending == name, False] for episode in episodes]
+            frame[name] = np.concatenate(ended)
     frame.insert(0, "time", np.concatenate([times(episode) for episode in episodes]))
     frame.insert(0, "episode", np.repeat([episode.name for episode in episodes], [len(table) for table in tables]))
     return frame
@@ -137,13 +138,6 @@ def sample_table(system: System, episode: Trajectory) -> Array:
 def _padded(rewards: Array | None, steps: int) -> Array:
     """Return the rewards with one row for each sample (steps + 1,); nan in the last, and if there are none."""
     return np.full(steps + 1, np.nan) if rewards is None else np.append(rewards, np.nan)
-
-
-def _is_last(episode: Trajectory, ended: bool) -> BoolArray:
-    """Return for each sample whether its step ended the episode."""
-    found = np.zeros(len(episode) + 1, dtype=bool)
-    found[-2] = ended
-    return found
 
 
 def channel_names(system: System, *others: str) -> tuple[str, ...]:

@@ -181,8 +181,8 @@ def _value(part: str, node: ast.expr, depth: int) -> Any:
     if isinstance(node, (ast.List, ast.Tuple)):
         return [_value(part, item, depth + 1) for item in node.elts]
     if isinstance(node, ast.Dict) and all(isinstance(key, (ast.Name, ast.Constant)) for key in node.keys):
-        items = zip(node.keys, node.values, strict=True)
-        return {str(_key(key)): _value(part, item, depth + 1) for key, item in items}
+        keys = (key.id if isinstance(key, ast.Name) else getattr(key, "value", "") for key in node.keys)
+        return {str(key): _value(part, item, depth + 1) for key, item in zip(keys, node.values, strict=True)}
     try:
         value = ast.literal_eval(node)
     except (ValueError, TypeError, RecursionError):
@@ -210,10 +210,6 @@ def _source(node: ast.expr) -> str:
         return _short(ast.unparse(node))
     except (RecursionError, ValueError):
         return "this value"
-
-
-def _key(node: ast.expr | None) -> Any:
-    return node.id if isinstance(node, ast.Name) else getattr(node, "value", "")
 
 
 def _written(value: Any) -> str:

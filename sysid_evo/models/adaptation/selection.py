@@ -31,7 +31,6 @@ from sysid_evo.registry.registry import models
 from sysid_evo.types import Array
 from sysid_evo.validation.acceptance import AND, AcceptanceResult, HeldOutErrors, Kind, acceptance_result, failed
 from sysid_evo.validation.folds import Block, blocks_of
-from sysid_evo.validation.simulation_error import error_of
 
 ACTION, BOTH = "action", "action + gains"
 KINDS = (ACTION, "linear", "gains", BOTH, "products")
@@ -67,7 +66,7 @@ class LearnedCorrection:
 
 @dataclass(frozen=True)
 class AdaptationDecision:
-    """Result of the acceptance test: the ``uncorrected`` error, the ``trials`` of candidates, and the ``chosen`` one.
+    """Result of the acceptance test: the ``trials`` of candidates, and the ``chosen`` one.
 
     ``chosen`` is the name of a trial, or "none". ``error_ratio`` (see there) is given if nothing was tried because it
     is at most ``least_ratio``.
@@ -75,7 +74,6 @@ class AdaptationDecision:
 
     seconds: float
     blocks: int
-    uncorrected: float
     trials: tuple[AcceptanceResult, ...]
     chosen: str
     error_ratio: float | None = None
@@ -147,13 +145,12 @@ def adaptation(
     held = [windows[block.held(windows.first)] for block in blocks]
     nothing = _uncorrected(model, dataset)
     uncorrected = [_errors(nothing, part) for part in held]
-    errors_of_all = np.concatenate([part.errors for part in uncorrected]) if uncorrected else np.empty(0)
-    error = error_of(errors_of_all) if uncorrected else float("nan")
     if uncorrected and model.held_out_error_ is not None:
+        errors_of_all = np.concatenate([part.errors for part in uncorrected])
         ratio = error_ratio(errors_of_all, windows.scale, model.held_out_error_)
         least = unchanged_ratio(sum(len(part.sizes()) for part in uncorrected))
         if ratio <= least:
-            return Adaptation(nothing, AdaptationDecision(seconds, len(blocks), error, (), NONE, ratio, least))
+            return Adaptation(nothing, AdaptationDecision(seconds, len(blocks), (), NONE, ratio, least))
     trials, fold_results = list[AcceptanceResult](), dict[str, list[LearnedCorrection]]()
     for kind in KINDS if blocks else ():
         errors: dict[str, list[HeldOutErrors]] = {_name(kind, ridge): [] for ridge in _ridges(kind)}
@@ -177,7 +174,7 @@ def adaptation(
             trials.append(acceptance_result(name, uncorrected, of_model, kind_of_model))
             if averaged:
                 trials.append(acceptance_result(best + AND + name, uncorrected, of_mean, kind_of_mean))
-    decision = AdaptationDecision(seconds, len(blocks), error, tuple(trials), decided(trials))
+    decision = AdaptationDecision(seconds, len(blocks), tuple(trials), decided(trials))
     learned = _fitted_to_all(model, dataset, windows, decision, makers)
     return Adaptation(learned, decision, tuple(fold_results.get(decision.chosen, ())))
 

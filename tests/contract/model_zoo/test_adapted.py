@@ -395,7 +395,7 @@ def test_a_correction_of_the_action_is_part_of_the_step(steady, parts):
 )
 def test_refitted_and_unchanged_models_keep_their_own_spread(steady, parts, monkeypatch, chosen, anew):
     learned = uncorrected(steady, None)
-    found = Adaptation(learned, AdaptationDecision(10.0, 3, 0.5, (), chosen), (uncorrected(steady, parts[0]),))
+    found = Adaptation(learned, AdaptationDecision(10.0, 3, (), chosen), (uncorrected(steady, parts[0]),))
     monkeypatch.setattr(module, "adaptation", lambda *_, **__: found)
     calibrated = steady.variant()
     monkeypatch.setattr(module, "calibrated_elsewhere", lambda *_: calibrated)
