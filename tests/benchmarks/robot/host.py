@@ -66,7 +66,7 @@ def drive(options: argparse.Namespace, log: RigLogWriter) -> LoopReport:
     with StopRequest() as stops, robot.connect() as connection:
         if options.thread_dies_after is not None:
             threading.Timer(options.thread_dies_after, _die, [log]).start()
-        with Recorder(options.record, CAR, robot=robot.name, body=BODY) as recorder:
+        with Recorder(options.record, CAR, robot=robot.name) as recorder:
             loop = ControlLoop(connection, CAR, listeners=[Log(log), recorder], stop=stops)
             return loop.run(Circles(log, exception_at=options.exception_at), samples=options.samples)
 
