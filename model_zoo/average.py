@@ -65,7 +65,8 @@ class Average(MeanModel):
         def fitted(data: Dataset) -> list[DynamicsModel]:
             return [model.fit(data, rng=rng, progress=_share(counter)) for model in self._unfitted()]
 
-        self._hold(fitted(dataset))
+        members = fitted(dataset)
+        self.become(members, np.full(len(members), 1.0 / len(members)))
         if self.stochastic:
             means = [(self.of(parts, self.weights_), held) for parts, held in ((fitted(a), b) for a, b in pairs)]
             self.spread_on(means, rng, lambda: counter.advance(0))
@@ -75,14 +76,11 @@ class Average(MeanModel):
     def made_of(cls, fitted: Sequence[DynamicsModel]) -> Self:
         """Return the mean of ``fitted`` models of one system as a fitted model."""
         mean = cls()
-        mean._hold(fitted)
+        mean.become(fitted, np.full(len(fitted), 1.0 / len(fitted)))
         bounds = np.array([model.state_bounds_ for model in fitted])
         mean.system_, mean.training_sample_ = fitted[0].system, fitted[0].training_sample_
         mean.state_bounds_ = np.stack([bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)])
         return mean
-
-    def _hold(self, fitted: Sequence[DynamicsModel]) -> None:
-        self.become(fitted, np.full(len(fitted), 1.0 / len(fitted)))
 
     def _named(self) -> list[Spec]:
         return [as_spec(one) for one in (FAMILIES if self.families is None else self.families)]

@@ -106,9 +106,7 @@ def observation_map(what: str, space: gymnasium.Space[Any], angle: str) -> tuple
     places = tuple(grouped.get(i, (i,)) for i in range(n) if i in grouped or i not in inside)
     wrapped = frozenset(k for k, place in enumerate(places) if place in groups)
     return ObservationMap(places, wrapped), tuple(
-        Channel(f"angle_{place[0]}", "rad", period=TURN)
-        if k in wrapped
-        else _limited(f"observation_{place[0]}", float(space.low[place[0]]), float(space.high[place[0]]))
+        Channel(f"angle_{place[0]}", "rad", period=TURN) if k in wrapped else _observed(space, place[0])
         for k, place in enumerate(places)
     )
 
@@ -181,8 +179,10 @@ def named_channels(what: str, given: str, channels: tuple[Channel, ...]) -> tupl
     )
 
 
-def _limited(name: str, low: float, high: float) -> Channel:
-    """Return a channel with those limits that are finite and not huge."""
+def _observed(space: gymnasium.Space[Any], place: int) -> Channel:
+    """Return an observation as a channel with those limits that are finite and not huge."""
+    name = f"observation_{place}"
+    low, high = (float(getattr(space, side)[place]) for side in ("low", "high"))
     if not low < high:
         return Channel(name)
     return Channel(name, low=low if low > -LARGEST else -np.inf, high=high if high < LARGEST else np.inf)
@@ -213,14 +213,10 @@ def raw_interface(
                 values += [RawValue(places, angle="sine"), RawValue(places, angle="cosine")]
         size = env.observation_space.shape
         assert size is not None
-        channels = tuple(_channel(env.observation_space, i) for i in range(size[0]))
+        channels = tuple(_observed(env.observation_space, i) for i in range(size[0]))
         return RawInterface(channels, tuple(values), *_actions(f"environment {name}", env.action_space))
     finally:
         env.close()
-
-
-def _channel(space: gymnasium.Space[Any], place: int) -> Channel:
-    return _limited(f"observation_{place}", *(float(getattr(space, side)[place]) for side in ("low", "high")))
 
 
 def _actions(what: str, space: gymnasium.Space[Any]) -> tuple[tuple[tuple[int, ...] | None, ...], str, tuple[int, ...]]:

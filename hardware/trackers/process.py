@@ -77,7 +77,12 @@ class ProcessStream(TrackerStream):
         finally:
             os.close(theirs)
         try:
-            self._write(json.dumps(tracker.describe()).encode() + b"\n")
+            assert self._process.stdin is not None
+            try:
+                self._process.stdin.write(json.dumps(tracker.describe()).encode() + b"\n")
+                self._process.stdin.flush()
+            except BrokenPipeError as error:
+                raise LinkLost(f"tracker {self._name}: its process ended before it began") from error
             if self._record(PATIENCE) is None:
                 raise LinkLost(
                     f"tracker {self._name}: nothing answered within {PATIENCE:g} s; is it running and streaming?"
@@ -106,14 +111,6 @@ class ProcessStream(TrackerStream):
         if self._process.stdin is not None:
             self._process.stdin.close()
         self._process.wait()
-
-    def _write(self, line: bytes) -> None:
-        assert self._process.stdin is not None
-        try:
-            self._process.stdin.write(line)
-            self._process.stdin.flush()
-        except BrokenPipeError as error:
-            raise LinkLost(f"tracker {self._name}: its process ended before it began") from error
 
     def _record(self, timeout: float) -> Any:
         """Return the next record, None after ``timeout`` s. Raises `LinkLost` when the process is over."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 
+from model_zoo.networks.training import TrainingSchedule
 from model_zoo.scaling import ChannelScaling
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.carry import CarryLayout
@@ -68,15 +69,8 @@ class TorchModule(DynamicsModel):
             equation = self._equation(dataset.system)
             self.trained_ = not self.fitted and any(one.requires_grad for one in equation.module.parameters())
             if self.trained_:
-                equation.train(
-                    dataset,
-                    ChannelScaling.of(dataset),
-                    updates=self.updates,
-                    horizon=self.horizon,
-                    learning_rate=self.learning_rate,
-                    rng=rng,
-                    report=counter.advance,
-                )
+                plan = TrainingSchedule.of_torch(self.updates, self.horizon, self.learning_rate)
+                equation.train(dataset, ChannelScaling.of(dataset), plan, rng=rng, report=counter.advance)
         weights = equation.module.state_dict()
         self.weight_names_ = list(weights)
         self.weights_ = [np.atleast_1d(weight.numpy()).copy() for weight in weights.values()]

@@ -12,6 +12,7 @@ import numpy as np
 from model_zoo.features import Features
 from model_zoo.networks.network import Network
 from model_zoo.networks.neural_ode import HIDDEN, flow_predictor, flow_step
+from model_zoo.networks.training import TrainingSchedule
 from model_zoo.scaling import ChannelScaling
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.carry import CarryLayout
@@ -100,15 +101,8 @@ class TorchOde(DynamicsModel):
         self.rates_ = standard.change / self.system.dt
         with one_thread(int(rng.integers(2**63))):
             equation = self._equation(TRAINED)
-            equation.train(
-                dataset,
-                standard,
-                updates=self.updates,
-                horizon=self.horizon,
-                learning_rate=self.learning_rate,
-                rng=rng,
-                report=counter.advance,
-            )
+            plan = TrainingSchedule.of_torch(self.updates, self.horizon, self.learning_rate)
+            equation.train(dataset, standard, plan, rng=rng, report=counter.advance)
         weights = equation.module.state_dict()
         self.weight_names_ = list(weights)
         self.weights_ = [weight.numpy().copy() for weight in weights.values()]

@@ -46,8 +46,6 @@ MAX_STEPS = 10_000
 SOLVER_FAILED = AssertionError
 """Exception of torchdiffeq for more steps, or for values that are not finite."""
 
-SINGLE_STEP_SHARE = 2 / 3
-"""Share of the updates on single steps."""
 CHECKS = 12
 """How often the running mean of the weights is scored."""
 
@@ -166,25 +164,21 @@ class Equation:
         self,
         dataset: Dataset,
         standard: ChannelScaling,
+        plan: TrainingSchedule,
         *,
-        updates: int,
-        horizon: int,
-        learning_rate: float,
         rng: np.random.Generator,
         report: Callable[[], None],
     ) -> None:
         """Train the module in place on all but the held-out blocks of time.
 
         Every window starts from its own measured state (multiple shooting); windows have first one step, then
-        ``horizon`` steps, as in `TrainingSchedule`. The result is the running mean of the weights that simulates the
+        several, as in `TrainingSchedule`. The result is the running mean of the weights that simulates the
         held-out blocks best over one second. ``report`` is called after each update.
         """
         learned, held = time_fold(dataset, 0, FOLDS)
-        history, module = self.layout.n_lags, self.module
-        training, windows = TrainingWindows.of(learned, horizon, history), error_windows(held, history)
+        history, module, updates = self.layout.n_lags, self.module, plan.total
+        training, windows = TrainingWindows.of(learned, plan.horizon, history), error_windows(held, history)
         batches, scale = Batches([training], history), torch.from_numpy(standard.state_scale)
-        single = round(SINGLE_STEP_SHARE * updates)
-        plan = TrainingSchedule(single, updates - single, horizon, learning_rate=learning_rate)
 
         def running(mean: Tensor, now: Tensor, count: Tensor | int) -> Tensor:
             return torch.lerp(now, mean, min(plan.averaging, (int(count) + 1) / (int(count) + 10)))

@@ -144,6 +144,12 @@ class TrainingSchedule:
         single = round(SINGLE_STEPS * updates)
         return cls(single, updates - single, horizon, input_noise=input_noise)
 
+    @classmethod
+    def of_torch(cls, updates: int, horizon: int, learning_rate: float) -> TrainingSchedule:
+        """Return the schedule of the families in PyTorch: two thirds of the updates are on single steps."""
+        single = round(2 / 3 * updates)
+        return cls(single, updates - single, horizon, learning_rate=learning_rate)
+
     @property
     def total(self) -> int:
         return self.one_step_updates + self.updates

@@ -143,7 +143,7 @@ class SparsePolynomial(PolynomialModel):
         """Return the coefficients (T, nx) of a library."""
         if self.optimizer is None:
             return library.coefficients(threshold, self.ridge)
-        return library.found_by(self.optimizer, seed)
+        return run(make_optimizer(self.optimizer), library.terms, library.targets, seed) * library.unit
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         settings = self._settings(dataset)
@@ -269,7 +269,3 @@ class Library:
             warnings.simplefilter("ignore")  # an empty equation is a valid result
             search.fit(self.terms, self.targets)
         return np.asarray(search.coef_.T * self.unit, dtype=np.float64)
-
-    def found_by(self, optimizer: str, seed: int) -> Array:
-        """Return the coefficients (T, nx) of raw quantities found by an optimiser of pysindy."""
-        return run(make_optimizer(optimizer), self.terms, self.targets, seed) * self.unit
