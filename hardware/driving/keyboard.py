@@ -144,10 +144,6 @@ class PageClient:
         if self._seen_released:
             self._keyboard.press(message.keys)
 
-    def leave(self) -> None:
-        """Release the keys and let the page that has watched longest drive; a second call does nothing."""
-        self._seats.remove(self)
-
 
 class PageClients:
     """The open pages in the order in which they were opened; the first one drives."""
@@ -171,7 +167,10 @@ class PageClients:
         return seat
 
     def remove(self, seat: PageClient) -> None:
-        """Remove the client ``seat``; if it drove, all keys are released."""
+        """Remove a client; if it drove, release all keys, and the page that has watched longest drives.
+
+        A second call does nothing.
+        """
         if seat not in self._taken:
             return
         if seat is self.driver:

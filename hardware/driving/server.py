@@ -205,10 +205,10 @@ def make_app(panel: DrivePanel, seats: PageClients, *, token: str, host: str) ->
         try:
             await _receive(page, seat)
         except ValueError as error:
-            seat.leave()
+            seats.remove(seat)
             await page.close(INVALID, str(error).encode("ascii", "backslashreplace")[:REASON_BYTES].decode())
         finally:
-            seat.leave()
+            seats.remove(seat)
             talking.cancel()
             with suppress(asyncio.CancelledError, WebSocketDisconnect):
                 await talking

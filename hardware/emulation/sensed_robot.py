@@ -53,11 +53,8 @@ class SensedPhysics(PlainDynamics):
     @property
     def measured_sensors(self) -> Mapping[str, Sensor]:
         """The sensor of each state that is not estimated."""
-        return {
-            name: self.sensors.get(name, Sensor())
-            for name in self.system.state_names
-            if name not in self.estimated_rates
-        }
+        measured = (name for name in self.system.state_names if name not in self.estimated_rates)
+        return {name: self.sensors.get(name, Sensor()) for name in measured}
 
 
 class ScalarPhysics(SensedPhysics):

@@ -279,11 +279,11 @@ def test_one_drives_and_the_others_watch_until_it_leaves(keyboard):
         seat.receive(word(keys, 1.0, new_trial=seat is second), 1.0)
     assert keyboard.keys == FORWARD
     assert not keyboard.new_trial_wanted
-    second.leave()
+    seats.remove(second)
     assert keyboard.keys == FORWARD
     second = seats.join()
-    first.leave()
-    first.leave()
+    seats.remove(first)
+    seats.remove(first)
     assert keyboard.keys == 0
     first.receive(word(FORWARD, 1.1), 1.1)
     assert keyboard.keys == 0
