@@ -2,8 +2,9 @@
 
 Every run is a comparison of its own in FOLDER, by default settings but for 60 generations. ``--compute`` makes those
 that are missing. For each kind of robot it prints how many of the 90 % intervals hold, with the ends of the interval in
-the code and with those that the other kinds give; the same for the chosen controllers; the mean error; and how often
-the choice is worse than controls at rest. Every kind has the same weight in calibration.
+the code and with those that the other kinds give; the same for the chosen controllers; the mean error, and that of the
+chosen controllers as a share of what they achieve above rest; and how often the choice is worse than controls at rest.
+Every kind has the same weight in calibration.
 """
 
 from __future__ import annotations
@@ -176,7 +177,7 @@ def kind_table(everyone: Sequence[Case]) -> Table:
     """Return a line for each kind of robot."""
     made = Table(
         "kind", "runs", "controllers", "intervals that hold", "calibrated on the others", "choices that hold",
-        "width / gain", "error / gain, median", "mean", "worse than rest",
+        "width / gain", "error / gain, median", "mean", "of choices / achieved", "worse than rest",
     )  # fmt: skip
     for kind in dict.fromkeys(one.kind for one in everyone):
         own, others = ([one for one in everyone if (one.kind == kind) is mine] for mine in (True, False))
@@ -184,6 +185,7 @@ def kind_table(everyone: Sequence[Case]) -> Table:
         other = calibrated(others) if others else (np.nan, np.nan)
         picks = [one for one in own if one.picked]
         errors = np.clip([(one.forecast - one.achieved) / one.gain for one in own], -2.0, 2.0)
+        of_picks = [(one.forecast - one.achieved) / max(abs(one.achieved - one.rest), 1e-9) for one in picks]
         made.add_row(
             kind,
             str(len({one.run for one in own})),
@@ -194,6 +196,7 @@ def kind_table(everyone: Sequence[Case]) -> Table:
             f"{np.median([(high - low) * one.unit / one.gain for one in own]):.2f}",
             f"{np.median(errors):+.2f}",
             f"{np.mean(errors):+.2f}",
+            f"{np.mean(of_picks):+.2f}",
             f"{sum(one.achieved < one.rest - 2.0 * one.error for one in picks)} of {len(picks)}",
         )
     return made
