@@ -137,6 +137,7 @@ class SingleTrack(GreyBox, PlanarCarModel):
     the other parameters are those of all grey boxes (docs/grey_box.md).
     """
 
+    knowledge = "grey"
     tyre: Literal["pacejka", "tanh"] = "pacejka"
     substeps: int = 3
     actuator_lag: bool = True

@@ -52,6 +52,7 @@ class FunctionGreyBox(GreyBox):
     compiled; others run in NumPy. An angle is continuous, beyond a turn as well.
     """
 
+    knowledge = "grey"
     periodic = True
     plugin_parameters = ("function",)
 

@@ -33,6 +33,8 @@ class Sindy(SparsePolynomial):
     are not bounded.
     """
 
+    knowledge = "dark grey"
+    requires = ("pysindy",)
     has_weak_form = True
 
     def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
@@ -84,6 +86,7 @@ class SindyDiscrete(SparsePolynomial):
     are those of sindy. Of an integral the change is predicted (`integrals`).
     """
 
+    requires = ("pysindy",)
     knowledge = "black"
     lag_options: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3), (1, 3))
     few_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 3), (1, 3))

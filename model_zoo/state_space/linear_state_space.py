@@ -36,6 +36,7 @@ class LinearStateSpace(StateSpaceModel):
     ``folds`` held-out blocks of time is within 5 % of the best.
     """
 
+    knowledge = "black"
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"iterations": 12, "folds": 1, "max_steps": 4000}}
     limits: ClassVar[dict[str, Limit]] = {"folds": at_least(1, at_most=FOLDS)}
 

@@ -220,6 +220,7 @@ class NonlinearStateSpace(NetworkStateSpace):
     ``gated=False`` skips this test. ``fit_note`` reports the outcome.
     """
 
+    knowledge = "black"
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {
             "members": 3,
@@ -245,6 +246,7 @@ class LatentOde(NetworkStateSpace):
     with the gain K of a Kalman predictor, also estimates the first state from the last samples.
     """
 
+    knowledge = "black"
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {
             "members": 2,
