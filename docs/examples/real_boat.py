@@ -53,16 +53,13 @@ class BoatConnection(Connection):
 
     def __init__(self, robot: RealBoat) -> None:
         self._robot = robot
+        self.gate_limits = robot.gate
         self._frames: TrackerStream = robot.tracker.open()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
     @property
     def time(self) -> float:
         return time.monotonic()
-
-    @property
-    def gate_limits(self) -> GateLimits:
-        return self._robot.gate
 
     def send(self, control: np.ndarray, *, valid_for: float) -> None:
         control = self._robot.system.check_control(control)
