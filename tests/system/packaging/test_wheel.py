@@ -175,7 +175,8 @@ def test_compare_runs_without_extras_and_names_what_installs_the_rest(bare):
     report = json.loads((bare.work / "run" / "report.json").read_text(encoding="utf-8"))
     assert (bare.work / "run" / "report.html").is_file()
     families = {model["family"] for model in report["models"]}
-    assert families == {"backprop27", "evolved3", "mlp_ensemble", "narx", "nearest_neighbour", "parametrised"}
+    usual = {"backprop27", "evolved3", "mlp_ensemble", "narx", "nearest_neighbour", "parametrised"}
+    assert families == {*usual, "gaussian_process"}
     assert report["run"]["failures"] == []
 
 
