@@ -137,6 +137,13 @@ def test_an_option_removes_the_settings_of_a_configuration_that_it_makes_meaning
     )
 
 
+def test_other_models_replace_those_of_a_configuration_with_the_choice_of_those_that_only_score(call, stored_data):
+    (call.folder / "some.toml").write_text('models = ["linear", "narx"]\nsearched = ["linear"]\ngenerations = 2\n')
+    asked = "compare", "--config", "some.toml", "--data", stored_data, "--dry-run"
+    assert "evolve narx" not in call.works(*asked).stdout
+    assert "evolve narx" in call.works(*asked, "--models", "narx").stdout
+
+
 def test_options_of_a_settings_class_are_texts_that_the_class_converts():
     given = {}
 
