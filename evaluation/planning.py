@@ -143,7 +143,6 @@ def plan_comparison(
     if in_rounds:
         inside = tuple(spec for spec in specs if spec.label in searched)
         last = last_round(experiment, _robot_column(experiment, robot, system, []), first, inside)
-    if last is not None:
         data = RoundData(last, HoldOut(experiment.test, experiment.held_out)).cell()
     fits = {spec.label: Fit(spec, data, experiment.seed, experiment.preset).cell() for spec in specs}
     predictions: dict[str, Cell[Predict]] = {}
