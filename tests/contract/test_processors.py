@@ -10,11 +10,18 @@ import scipy.linalg
 import torch
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from sysid_evo.controllers.controller import make_controller
+from sysid_evo.engine import rollout
 from sysid_evo.evolution import ControllerEvolution, evolve_controller
-from sysid_evo.models.base import make_model
+from sysid_evo.models.base import DynamicsModel, make_model
 from sysid_evo.models.storage import save_model
+from sysid_evo.plan import Store
+from sysid_evo.plan.run_cell import run_cell
 from sysid_evo.processors import _LinearAlgebra, one_blas_thread
+from sysid_evo.randomness import trial_seeds
+from sysid_evo.tasks.task import make_task
 from sysid_evo.testing import example_dataset
+from tests.fixtures.cells import number
 
 NETWORK = {"hidden": [24], "one_step_updates": 30, "updates": 4, "horizon": 5, "state_lags": 1}
 FAMILIES = {
@@ -89,6 +96,31 @@ def test_a_champion_is_the_same_for_any_number_of_threads(recording):
             champion = evolve_controller("c", {"linear": model}, recording.system, settings, seed=0)
         found.append({name: tensor.tobytes() for name, tensor in champion.tensors.items()})
     assert found[0] == found[1]
+
+
+class Watched(DynamicsModel):
+    """Nothing changes; notes the numbers of threads in each step."""
+
+    def fit(self, dataset, *, rng, progress=None):
+        self.noted = []
+        return self
+
+    def next_state(self, carry, control):
+        self.noted.append(blas_threads())
+        return carry
+
+
+def test_simulations_trials_in_numpy_and_cells_of_a_plan_work_on_one_thread(recording, tmp_path):
+    model, noted = Watched().fit(recording, rng=0), []
+    task = make_task("point_to_point(horizon=2)").bind(recording.system)
+    law = make_controller("constant").bind_to(task)
+    with on_threads(3):
+        model.simulate(recording.episodes[0].states[0], recording.episodes[0].controls[:2])
+        assert len(model.noted) == 2
+        rollout(model, law, np.zeros((1, law.n_parameters)), task, trial_seeds(0, 2), engine="reference")
+        assert len(model.noted) == 4
+        run_cell(Store(tmp_path), number(1, then=lambda: noted.append(blas_threads())))
+    assert [*model.noted, *noted] == [{1}] * 5
 
 
 def test_afterwards_linear_algebra_works_on_as_many_threads_as_before():
