@@ -107,7 +107,6 @@ class Experiment(BaseModel):
         None, "Several ways to begin the search: start(controller=SPEC, strategy=SPEC)", "Controllers",
         "LIST",
     )  # fmt: skip
-    schedule: str = setting("", "Easier stages first: stage(task=SPEC, until=FITNESS)", "Controllers", "LIST")
     baselines: tuple[str, ...] = setting(
         (), "Baseline controllers, such as pursuit", "Controllers", "LIST", kind="controller"
     )
@@ -207,7 +206,7 @@ Settings = TypedDict("Settings", {  # noqa: UP013  # several in a line
     "preset": Literal["quick", "standard", "paper"],
     "stop_after": Literal["fit", "prediction"] | None, "task": str | None, "controller": str | None,
     "baselines": Sequence[str], "strategy": str | None, "procedure": Procedure | None, "aggregate": str,
-    "noise": str | None, "penalty": str, "starts": str | None, "schedule": str, "generations": int | None,
+    "noise": str | None, "penalty": str, "starts": str | None, "generations": int | None,
     "search_minutes": float, "trials": int | None, "repeats": int | None, "polish_generations": int | None,
     "selection_trials": int, "estimator_delay": float, "transfer_trials": int, "robot_trials": int | None,
     "traces": int, "reference": bool | None, "seed": int, "rounds": int | None, "command_noise": float,
@@ -216,7 +215,7 @@ Settings = TypedDict("Settings", {  # noqa: UP013  # several in a line
 """The keywords of `evaluation.compare`, for type checkers; see `Experiment`."""
 
 OF_CONTROLLERS = (
-    "task", "controller", "baselines", "strategy", "procedure", "aggregate", "noise", "penalty", "starts", "schedule",
+    "task", "controller", "baselines", "strategy", "procedure", "aggregate", "noise", "penalty", "starts",
     "generations", "search_minutes", "trials", "repeats", "polish_generations", "selection_trials", "estimator_delay",
     "transfer_trials", "robot_trials", "traces", "reference", "ensembles", "rounds", "command_noise", "noisy_share",
     "max_steps", "searched",

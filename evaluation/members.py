@@ -193,7 +193,6 @@ def check_evolution(store: Store, columns: tuple[Plant, ...], evolution: Control
         if differences:
             raise IncompatibleSystem(f"--against: {first} and {label} have different systems: {'; '.join(differences)}")
     task = evolution.make_task(system)
-    evolution.stages(task, tuple(systems))
     evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
     known = next((column for column in columns if has_dynamics(column)), None)
     farthest = None if known is None else simulated_state_range(dynamics_of(store, known))

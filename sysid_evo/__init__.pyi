@@ -10,7 +10,7 @@ from .errors import SysidEvoError
 from .evolution.aggregates import make_aggregate
 from .evolution.champion import Champion, load_champion, save_champion
 from .evolution.controller_evolution import ControllerEvolution, evolve_controller
-from .evolution.loop import Objective, Schedule, Stage, evolve
+from .evolution.loop import Objective, evolve
 from .evolution.strategies.mu_plus_lambda import MuPlusLambda
 from .evolution.strategies.strategy import EvolutionStrategy, make_strategy
 from .interoperation import to_control
@@ -70,9 +70,7 @@ __all__ = [
     "RigidBody",
     "Rollouts",
     "Runner",
-    "Schedule",
     "Spec",
-    "Stage",
     "System",
     "SysidEvoError",
     "Task",

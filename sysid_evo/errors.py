@@ -105,12 +105,7 @@ class CheckpointWarning(UserWarning):
     """A checkpoint was ignored, because it is damaged or belongs to other work, or could not be written."""
 
 
-class EvolutionWarning(UserWarning):
-    """An evolution did not complete all requested stages or generations."""
-
-
 RENAMED: Mapping[str, tuple[str, ...]] = {
-    "at_most": ("max_generations",),
     "base": ("exact_channels",),
     "by_hand": ("baselines",),
     "caution": ("penalty",),
@@ -127,7 +122,6 @@ RENAMED: Mapping[str, tuple[str, ...]] = {
     "neural_ode_history": ("neural_ode(lag_search=all)",),
     "offered_lags": ("lag_options",),
     "only": ("stop_after",),
-    "over": ("window",),
     "polish": ("polish_generations",),
     "recipe": ("procedure",),
     "reference": ("compare_with",),

@@ -83,7 +83,6 @@ CHAMPIONS: dict[str, tuple[str, dict[str, Any]]] = {
         {
             "strategy": "niches",
             "noise": "domain_randomisation",
-            "schedule": "stage(task=point_to_point(horizon=40), max_generations=3)",
         },
     ),
     "swing_up": ("pendulum", {"strategy": "mu_plus_lambda", "task": "swing_up(horizon=80)", "aggregate": "median"}),

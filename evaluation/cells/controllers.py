@@ -22,8 +22,8 @@ from evaluation.cells.slow_models import limited
 from evaluation.experiment import DEFAULT_TASK, NONE, Experiment
 from evaluation.transfer.forecast import FORECAST_RULE, forecast_judgement
 from sysid_evo.artefacts import CheckpointFile
-from sysid_evo.errors import Blocked, InvalidArgument
-from sysid_evo.evolution import Champion, ControllerEvolution, Stage, choose, evolve_controller, polish
+from sysid_evo.errors import Blocked
+from sysid_evo.evolution import Champion, ControllerEvolution, choose, evolve_controller, polish
 from sysid_evo.evolution.champion import load_champion, save_champion
 from sysid_evo.evolution.halving import Start
 from sysid_evo.plan import CELL_KINDS, Cell, CellContext, CellKind, CellSettings, ResultType, blocked_reason, cell_seed
@@ -97,25 +97,7 @@ class Evolve(CellSettings):
             "members": [member.inputs() for member in self.members],
             **identity_of(evolution),
             "repeats": evolution.repeats,
-            "schedule": [self._stage(stage) for stage in evolution.schedule],
             "seed": self.seed,
-        }
-
-    def _stage(self, stage: Stage) -> dict[str, Any]:
-        """Return the settings of a stage, with models by their positions: labels have no influence on the result."""
-        labels = labels_of(self.members)
-        missing = [model for model in stage.models if model not in labels]
-        if missing:
-            raise InvalidArgument(
-                f"schedule: {missing[0]!r} is not among the models of evolve {self.name}. With the procedure 'plain' "
-                "a controller is evolved on all its models at once"
-            )
-        return {
-            "task": None if stage.task is None else tasks.identity(stage.task),
-            "models": sorted(labels.index(model) for model in stage.models),
-            "until": stage.until,
-            "max_generations": stage.max_generations,
-            "window": stage.window,
         }
 
     def compute(self, work: CellContext) -> Champion:
@@ -363,7 +345,6 @@ def evolution_settings(experiment: Experiment) -> ControllerEvolution:
         strategy=Spec.parse(budget.strategy),
         noise="" if noise == NONE else noise,
         penalty=experiment.penalty,
-        schedule=Stage.listed(experiment.schedule) if experiment.schedule else (),
         starts=Start.listed(starts),
     )
 
@@ -384,7 +365,7 @@ FEW_GENERATIONS = 60
 def _free_to_choose(experiment: Experiment) -> bool:
     """Return whether neither starts nor what they consist of is given, and the search is long enough for several."""
     budget = experiment.budget
-    given = (experiment.controller, experiment.strategy, experiment.starts, experiment.schedule or None)
+    given = (experiment.controller, experiment.strategy, experiment.starts)
     return (
         budget.procedure == "recommended"
         and budget.generations >= FEW_GENERATIONS

@@ -2,7 +2,7 @@
 
 from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.controller_evolution import ControllerEvolution, delayed_runner, evolve_controller
-from sysid_evo.evolution.loop import Scores, Stage, evolve
+from sysid_evo.evolution.loop import Scores, evolve
 from sysid_evo.evolution.model_evolution import ModelEvolution
 from sysid_evo.evolution.selection import FinalistScore, choose, polish, ranking_value
 
@@ -13,7 +13,6 @@ __all__ = [
     "FinalistScore",
     "ModelEvolution",
     "Scores",
-    "Stage",
     "choose",
     "delayed_runner",
     "evolve",

@@ -18,7 +18,7 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.halving import Halving, Start
-from sysid_evo.evolution.loop import Schedule, Stage
+from sysid_evo.evolution.loop import Objective
 from sysid_evo.evolution.margins import best_candidate, lasting_fitness, margins_of
 from sysid_evo.evolution.runs import FinishedRun, Runs, evolution_digest
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, make_strategy
@@ -49,7 +49,6 @@ class ControllerEvolution:
     - ``estimator_delay``: delay in s with which controllers observe the state of a model, see `Disturbed`.
     - ``starts``: several ways to begin, in place of ``controller`` and ``strategy``. They share the generations by
       successive halving, see `Halving`.
-    - ``schedule``: easier stages that precede the task in every run.
     - ``noise``: domain randomisation, a spec (`DomainRandomisation`), empty for none. It acts during evolution and the
       choice of the champion, not when claims are measured.
     - ``penalty``: fitness penalty where models extrapolate, a spec (`UncertaintyPenalty`), empty for none.
@@ -61,7 +60,6 @@ class ControllerEvolution:
     aggregate: str = "min"
     selection_trials: int = 100
     estimator_delay: float = 0.0
-    schedule: Converted[Sequence[Stage] | str, tuple[Stage, ...]] = Converted(Stage.listed, ())
     controller: Converted[Spec | str, Spec] = Converted(controllers.check, "recurrent")
     task: Converted[Spec | str, Spec] = Converted(tasks.check, "point_to_point")
     strategy: Converted[Spec | str, Spec] = Converted(strategies.check, "mu_plus_lambda")
@@ -74,8 +72,6 @@ class ControllerEvolution:
             number = getattr(self, name)
             if not isinstance(number, (int, np.integer)) or number < 1:
                 raise InvalidArgument(f"evolution: expected {name} as a whole number >= 1, got {number!r}")
-        if self.starts and self.schedule:
-            raise InvalidArgument("evolution: expected either starts or a schedule, got both: omit one of them")
         if self.starts:
             Halving(len(self.starts) * self.repeats, self.generations * self.repeats)
         aggregates.check(self.aggregate)
@@ -92,24 +88,6 @@ class ControllerEvolution:
     def make_task(self, system: System) -> Task:
         """Return the task, bound to ``system``."""
         return make_task(self.task).bind(system)
-
-    def stages(self, task: Task, models: tuple[str, ...]) -> tuple[tuple[Stage, Task, tuple[str, ...]], ...]:
-        """Return each stage that precedes ``task`` (bound), with its own task (bound) and the labels of its models.
-
-        Raises `InvalidArgument` if a stage has other observations than ``task``, or a model that is not in ``models``.
-        """
-        found = []
-        for stage in self.schedule:
-            stage_task = task if stage.task is None else make_task(stage.task).bind(task.system)
-            if stage_task.observations != task.observations:
-                raise InvalidArgument(
-                    f"schedule: {stage.task} has other observations than {self.task}: one controller cannot do both"
-                )
-            missing = [model for model in stage.models if model not in models]
-            if missing:
-                raise InvalidArgument(f"schedule: {missing[0]!r} is not among the models: {', '.join(models)}")
-            found.append((stage, stage_task, stage.models or models))
-        return tuple(found)
 
     def make_controller(self, task: Task) -> Controller:
         """Return the controller with the inputs of ``task`` and the outputs of its system."""
@@ -179,21 +157,18 @@ def evolve_controller(
     halving = Halving(len(starts), settings.generations * settings.repeats) if settings.starts else None
     disturbed = disturbed_runners(runners, settings)
     seeds = selection_seeds(seed, settings.selection_trials)
-    models = tuple(disturbed)
-    stages = settings.stages(task, models)
     start_of: dict[int, int] = {}
 
     def lineage(run: int, ended: Sequence[FinishedRun]) -> tuple[int, ...]:
         return (run,) if halving is None else halving.lineage(run, [one.fitness for one in ended])
 
     @cache
-    def objective(run: int, start: int, stage_task: Task, labels: tuple[str, ...]) -> EnsembleObjective:
-        chosen = tuple(disturbed[label] for label in labels)
+    def objective(run: int, start: int) -> EnsembleObjective:
         return EnsembleObjective(
-            chosen, laws[start], stage_task, derived_seed(seed, run), settings.trials, settings.aggregate
+            tuple(disturbed.values()), laws[start], task, derived_seed(seed, run), settings.trials, settings.aggregate
         )
 
-    def start_run(run: int, ended: Sequence[FinishedRun]) -> tuple[EvolutionStrategy, Schedule]:
+    def start_run(run: int, ended: Sequence[FinishedRun]) -> tuple[EvolutionStrategy, Objective]:
         start, *continued = lineage(run, ended)
         start_of[run] = start
         strategy = settings.make_strategy(
@@ -210,8 +185,7 @@ def evolve_controller(
         )
         if continued:
             strategy.restore(ended[lineage(run, ended)[-2]].strategy)
-        easier = [(stage, objective(run, start, stage_task, labels)) for stage, stage_task, labels in stages]
-        return strategy, Schedule(easier, objective(run, start, task, models))
+        return strategy, objective(run, start)
 
     def margins(start: int, candidates: Array, rows: IntArray) -> Array:
         delay = settings.estimator_delay
@@ -219,7 +193,7 @@ def evolve_controller(
         return margins_of(lasting_fitness(candidates[rows], runners, law, goal, system, seeds, delay=delay))
 
     def finalists_of(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
-        found, final = [], objective(run, start_of[run], task, models)
+        found, final = [], objective(run, start_of[run])
         for behaviour_class, candidates in strategy.finals.items():
             scores = final.on_trials(candidates, seeds)
             winner = best_candidate(scores, task.worst, partial(margins, start_of[run], candidates))
@@ -231,7 +205,7 @@ def evolve_controller(
         (settings.generations,) * settings.repeats if halving is None else halving.lengths,
         start_run,
         finalists_of,
-        models=(*(labels for _, _, labels in stages), models),
+        models=tuple(disturbed),
         checkpoint=checkpoint,
         identity="" if checkpoint is None else evolution_digest(inputs, runners, laws[0], task, seed),
     )

@@ -8,9 +8,8 @@ from itertools import accumulate
 
 import numpy as np
 
-from sysid_evo.errors import InvalidArgument
-from sysid_evo.evolution.loop import records
-from sysid_evo.registry.grammar import Spec
+from sysid_evo.errors import InvalidArgument, did_you_mean
+from sysid_evo.registry.grammar import Spec, split_specs
 from sysid_evo.registry.registry import controllers, strategies
 from sysid_evo.types import Converted
 
@@ -28,7 +27,20 @@ class Start:
 
         Raises `InvalidArgument`.
         """
-        return records(cls, given, "starts", "SPEC") if given else ()
+        if not isinstance(given, str):
+            return tuple(given)
+        names, found = ("controller", "strategy"), []
+        for spec in map(Spec.parse, split_specs(given) if given else ()):
+            unknown = [one for one in spec.parameters if one not in names]
+            if spec.name != "start" or unknown:
+                hint = did_you_mean(unknown[0], names) if unknown else ""
+                expected = ", ".join(f"{one}=SPEC" for one in names)
+                raise InvalidArgument(f"starts: expected start({expected}), got {spec}.{hint}")
+            try:
+                found.append(cls(**spec.parameters))
+            except (TypeError, AttributeError) as error:
+                raise InvalidArgument(f"starts: {spec} cannot be read: {error}") from error
+        return tuple(found)
 
 
 @dataclass(frozen=True)

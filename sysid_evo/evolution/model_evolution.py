@@ -15,7 +15,7 @@ from sysid_evo.data.trajectory import Windows
 from sysid_evo.engine.compiled.open_loop import final_errors
 from sysid_evo.errors import InvalidData
 from sysid_evo.evolution.champion import Finalist
-from sysid_evo.evolution.loop import Schedule
+from sysid_evo.evolution.loop import Objective
 from sysid_evo.evolution.runs import FinishedRun, Runs
 from sysid_evo.evolution.strategies.mu_plus_lambda import MuPlusLambda
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy
@@ -97,7 +97,7 @@ class ModelEvolution:
                 return -final_error(step, population, chosen, start, weight=weight)
             return -kernel_error(*compiled, chosen, start, weight=weight, precision=precision)
 
-        def start_run(_run: int, _ended: Sequence[FinishedRun]) -> tuple[EvolutionStrategy, Schedule]:
+        def start_run(_run: int, _ended: Sequence[FinishedRun]) -> tuple[EvolutionStrategy, Objective]:
             strategy = MuPlusLambda(
                 n_parameters=len(initial),
                 seed=seed,
@@ -107,7 +107,7 @@ class ModelEvolution:
                 spread=spread,
                 initial=initial,
             )
-            return strategy, Schedule((), objective)
+            return strategy, objective
 
         def finalists_of(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
             evenly = np.unique(np.linspace(0, len(every) - 1, CHOICE_WINDOWS).astype(np.int64))
@@ -129,7 +129,7 @@ class ModelEvolution:
             (self.generations,),
             start_run,
             finalists_of,
-            models=((),),
+            models=(),
             checkpoint=checkpoint,
             identity="" if checkpoint is None else identity(),
         ).finish(report)

@@ -13,9 +13,9 @@ import numpy as np
 
 from sysid_evo.controllers.controller import Controller
 from sysid_evo.engine.rollout import DynamicsRunner, Runner
-from sysid_evo.errors import CheckpointWarning, EvolutionWarning
+from sysid_evo.errors import CheckpointWarning
 from sysid_evo.evolution.champion import Finalist
-from sysid_evo.evolution.loop import Generation, Schedule, evolve
+from sysid_evo.evolution.loop import Convergence, Generation, Objective, evolve
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, StrategyState
 from sysid_evo.processors import engine_inputs
 from sysid_evo.progress import Checkpoint, Progress
@@ -26,17 +26,17 @@ from sysid_evo.types import Array, check_shape
 
 @dataclass(frozen=True)
 class Runs:
-    """Runs of at most ``generations`` each, one after the other; a run ends earlier when its schedule has converged.
+    """Runs of at most ``generations`` each, one after the other; a run ends earlier when its search has converged.
 
-    ``start_run(run, ended)`` makes the strategy and schedule of a run, which may continue one of the ``ended`` runs;
-    ``finalists_of`` selects the finalists of a finished run. ``models`` holds the model labels of each stage, the last
-    for the final task. ``identity`` is the `evolution_digest` under which the ``checkpoint`` is saved.
+    ``start_run(run, ended)`` makes the strategy and objective of a run, which may continue one of the ``ended`` runs;
+    ``finalists_of`` selects the finalists of a finished run. ``models`` are the labels of the models of the objective.
+    ``identity`` is the `evolution_digest` under which the ``checkpoint`` is saved.
     """
 
     generations: Sequence[int]
-    start_run: Callable[[int, tuple[FinishedRun, ...]], tuple[EvolutionStrategy, Schedule]]
+    start_run: Callable[[int, tuple[FinishedRun, ...]], tuple[EvolutionStrategy, Objective]]
     finalists_of: Callable[[int, EvolutionStrategy], tuple[Finalist, ...]]
-    models: Sequence[tuple[str, ...]]
+    models: tuple[str, ...]
     checkpoint: Checkpoint | None = None
     identity: str = ""
 
@@ -68,29 +68,21 @@ class Runs:
     def _steps(self, state: EvolutionState) -> Iterator[tuple[EvolutionState, _Search, str]]:
         """Yield the state after every generation, with a note, and after every run, with an empty note."""
         for run in range(len(state.ended), len(self.generations)):
-            strategy, schedule = self.start_run(run, state.ended)
-            state.restore(strategy, schedule)
+            (strategy, objective), convergence = self.start_run(run, state.ended), Convergence()
+            state.restore(strategy, convergence)
             done = len(state.history)
-            last = done if schedule.converged else self.generations[run]
-            for generation in evolve(strategy, schedule, last, start=done):
-                note = self._note(run, generation, strategy, schedule)
-                if schedule.tell(generation):
-                    strategy.forget_fitness()
+            last = done if convergence.reached else self.generations[run]
+            for generation in evolve(strategy, objective, last, start=done):
+                note = self._note(run, generation, strategy)
+                convergence.tell(generation)
                 history = np.concatenate([state.history, [generation.summary]])
                 state = EvolutionState(state.ended, history)
-                yield state, _Search(strategy, schedule, strategy.updates), note
-                if schedule.converged:
+                yield state, _Search(strategy, convergence, strategy.updates), note
+                if convergence.reached:
                     break
-            if schedule.stage < len(schedule.stages):
-                warnings.warn(
-                    f"run {run + 1} ended in {schedule.status}: the final task was not reached. "
-                    "Use more generations, a lower until= or max_generations=",
-                    EvolutionWarning,
-                    stacklevel=2,
-                )
             ended = FinishedRun(self.finalists_of(run, strategy), state.history, strategy.elite, strategy.state)
             state = EvolutionState((*state.ended, ended))
-            yield state, _Search(strategy, schedule, strategy.updates), ""
+            yield state, _Search(strategy, convergence, strategy.updates), ""
 
     def _resumed(self) -> EvolutionState:
         """Return the state in the checkpoint, or an empty one if the checkpoint belongs to another evolution."""
@@ -100,7 +92,8 @@ class Runs:
         try:
             state = EvolutionState.of(found)
             if len(state.ended) < len(self.generations):
-                state.restore(*self.start_run(len(state.ended), state.ended))
+                strategy, _ = self.start_run(len(state.ended), state.ended)
+                state.restore(strategy, Convergence())
         except (LookupError, TypeError, ValueError) as error:
             warnings.warn(
                 f"the checkpoint is ignored and the evolution starts again: {error}", CheckpointWarning, stacklevel=2
@@ -108,25 +101,24 @@ class Runs:
             return EvolutionState()
         return state
 
-    def _note(self, run: int, generation: Generation, strategy: EvolutionStrategy, schedule: Schedule) -> str:
+    def _note(self, run: int, generation: Generation, strategy: EvolutionStrategy) -> str:
         """Return the progress note of a generation: best and mean fitness, fitness by model, status of the strategy."""
-        models = self.models[schedule.stage]
         best, mean, _ = generation.summary
         parts = [f"best {best:.1f}, mean {mean:.1f}"]
         if generation.by_model is not None and len(generation.by_model) > 1:
             of_best = generation.by_model[:, int(np.argmax(generation.fitness))]
-            parts.append(", ".join(f"{name} {value:.1f}" for name, value in zip(models, of_best, strict=True)))
+            parts.append(", ".join(f"{name} {value:.1f}" for name, value in zip(self.models, of_best, strict=True)))
         if len(self.generations) > 1:
             parts.append(f"run {run + 1} of {len(self.generations)}")
-        return "; ".join(filter(None, (*parts, schedule.status, strategy.status)))
+        return "; ".join(filter(None, (*parts, strategy.status)))
 
 
 @dataclass(frozen=True)
 class _Search:
-    """Strategy and schedule of a run after a generation; ``updates`` is the strategy's count at that time."""
+    """Strategy and convergence of a run after a generation; ``updates`` is the strategy's count at that time."""
 
     strategy: EvolutionStrategy
-    schedule: Schedule
+    convergence: Convergence
     updates: int
 
     @property
@@ -135,10 +127,10 @@ class _Search:
         return self.strategy.updates == self.updates
 
     def added_to(self, state: EvolutionState) -> EvolutionState:
-        """Return ``state`` with the current states of strategy and schedule; unchanged between two runs."""
+        """Return ``state`` with the current states of strategy and convergence; unchanged between two runs."""
         if not len(state.history):
             return state
-        return replace(state, strategy=self.strategy.state, schedule=self.schedule.state)
+        return replace(state, strategy=self.strategy.state, convergence=self.convergence.state)
 
 
 def evolution_digest(
@@ -155,7 +147,7 @@ def evolution_digest(
     return digest.hexdigest()
 
 
-STRATEGY, SCHEDULE = "strategy.", "schedule."
+STRATEGY, CONVERGENCE = "strategy.", "convergence."
 
 
 @dataclass(frozen=True)
@@ -175,12 +167,12 @@ class FinishedRun:
 
 @dataclass(frozen=True)
 class EvolutionState:
-    """The finished runs, and the current run: its history (G, 3), strategy and schedule."""
+    """The finished runs, and the current run: its history (G, 3), strategy and convergence."""
 
     ended: tuple[FinishedRun, ...] = ()
     history: Array = field(default_factory=lambda: np.empty((0, 3)))
     strategy: StrategyState = field(default_factory=dict)
-    schedule: StrategyState = field(default_factory=dict)
+    convergence: StrategyState = field(default_factory=dict)
 
     @property
     def generations(self) -> int:
@@ -201,7 +193,7 @@ class EvolutionState:
                 **{f"ended.{i}.{STRATEGY}{name}": value for name, value in run.strategy.items()},
             }
         current = {f"{STRATEGY}{name}": value for name, value in self.strategy.items()}
-        current |= {f"{SCHEDULE}{name}": value for name, value in self.schedule.items()}
+        current |= {f"{CONVERGENCE}{name}": value for name, value in self.convergence.items()}
         return {"runs": len(self.ended), "history": self.history, **ended, **current}
 
     @classmethod
@@ -214,14 +206,14 @@ class EvolutionState:
             ended=tuple(_ended(state, run) for run in range(runs)),
             history=check_shape("history", state["history"], (None, 3)),
             strategy=_part(state, STRATEGY),
-            schedule=_part(state, SCHEDULE),
+            convergence=_part(state, CONVERGENCE),
         )
 
-    def restore(self, strategy: EvolutionStrategy, schedule: Schedule) -> None:
-        """Restore a new ``strategy`` and ``schedule`` to this state. Raises their errors for an invalid state."""
+    def restore(self, strategy: EvolutionStrategy, convergence: Convergence) -> None:
+        """Restore a new ``strategy`` and ``convergence`` to this state. Raises their errors for an invalid state."""
         if len(self.history):
             strategy.restore(self.strategy)
-            schedule.restore(self.schedule)
+            convergence.restore(self.convergence)
 
 
 def _part(state: StrategyState, prefix: str) -> StrategyState:

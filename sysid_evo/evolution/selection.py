@@ -20,7 +20,7 @@ from sysid_evo.evolution.controller_evolution import (
     selection_seeds,
 )
 from sysid_evo.evolution.ensemble import EnsembleObjective
-from sysid_evo.evolution.loop import Schedule, Scores
+from sysid_evo.evolution.loop import Objective, Scores
 from sysid_evo.evolution.margins import EQUAL_SHARE, best_candidate, lasting_fitness, margins_of
 from sysid_evo.evolution.runs import FinishedRun, Runs, evolution_digest
 from sysid_evo.evolution.strategies.cma_es import CmaEs
@@ -184,7 +184,7 @@ def polish(
             used_runners, controller, task, derived_seed(seed, run), settings.trials, settings.aggregate
         )
 
-    def start_run(run: int, _ended: Sequence[FinishedRun]) -> tuple[EvolutionStrategy, Schedule]:
+    def start_run(run: int, _ended: Sequence[FinishedRun]) -> tuple[EvolutionStrategy, Objective]:
         strategy = CmaEs(
             n_parameters=controller.n_parameters,
             seed=derived_seed(seed, run),
@@ -192,7 +192,7 @@ def polish(
             initial=chosen[run].parameters,
             first_steps=controller.first_steps(task.observation_sizes()),
         )
-        return strategy, Schedule((), objective(run))
+        return strategy, objective(run)
 
     def margins(candidates: Array) -> Array:
         kept, delay = {label: runners[label] for label in used}, settings.estimator_delay
@@ -211,7 +211,7 @@ def polish(
         (generations,) * len(chosen),
         start_run,
         finalists_of,
-        models=(used,),
+        models=used,
         checkpoint=checkpoint,
         identity="" if checkpoint is None else evolution_digest(inputs, runners, controller, task, seed),
     )

@@ -56,12 +56,6 @@ def test_options_on_the_line_win_over_the_experiment(call, run_copy):
     assert longer["fit linear"]
     assert not longer["evolve linear"]
     assert not kept("--models", "linear,near=linear(ridge=0.5)")["fit near"]
-    scheduled = kept("--schedule", "stage(task=point_to_point(waypoint_radius=0.5), max_generations=2)")
-    assert not any(done for cell, done in scheduled.items() if cell.startswith("evolve"))  # other work than without
-    assert "evolve linear" in scheduled
-    assert call.refused(*AGAIN, "--schedule", "stage(max_generations=0)", "--dry-run").says(
-        "expected window and max_generations >= 1"
-    )
 
 
 def test_another_preset_on_the_line_brings_its_own_budget(call, stored_data):

@@ -26,7 +26,7 @@ NEEDED = {"import": ["--out", "new"], "adapt": ["--data", "car", "--out", "new"]
 VALUES = {"stop-after": "prediction", "procedure": "plain", "to": "python", "seconds": "5"}
 
 OF_CONTROLLERS = ("aggregate", "baselines", "penalty", "controller", "ensembles", "estimator-delay", "generations",
-                  "noise", "procedure", "repeats", "schedule", "strategy", "task", "trials", "reference", "starts",
+                  "noise", "procedure", "repeats", "strategy", "task", "trials", "reference", "starts",
                   "rounds", "search-minutes")  # fmt: skip
 TOGETHER = {
     "compare": {("stop-after", name) for name in OF_CONTROLLERS} | {

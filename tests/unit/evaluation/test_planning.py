@@ -259,7 +259,6 @@ def test_controls_at_rest_are_a_row_where_they_may_bring_something(name, baselin
         ({}, ["linear", "feed_forward", "recurrent"]),
         ({"controller": "linear"}, ["linear"]),
         ({"strategy": "cma_es"}, ["recurrent"]),
-        ({"schedule": "stage(until=1.0)"}, ["recurrent"]),
         ({"procedure": "plain"}, ["recurrent"]),
         ({"generations": 59}, ["recurrent"]),
         ({"starts": "start(controller=pid), start(controller=linear)"}, ["pid", "linear"]),

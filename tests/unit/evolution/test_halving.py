@@ -125,8 +125,3 @@ def test_repeats_are_more_starts(evolved):
 def test_what_is_no_start_is_refused(text, error, words):
     with pytest.raises(error, match=words):
         Start.listed(text)
-
-
-def test_starts_and_a_schedule_exclude_each_other():
-    with pytest.raises(InvalidArgument, match="either starts or a schedule"):
-        replace(SETTINGS, schedule="stage(until=0.1)")
