@@ -53,10 +53,10 @@ def hostile(tmp_path_factory):
 @pytest.mark.parametrize(
     ("command", "code", "stays"),
     [
-        (("inspect", ".", "--columns", "map.toml"), 0, "speed]0;owned"),
-        (("import", ".", "--columns", "map.toml", "--out", "data"), 0, "log]0;owned"),
+        (("inspect", ".", "--columns", "map.toml"), 0, "]0;owned[2J31m[link=file:///]:boom:"),
+        (("import", ".", "--columns", "map.toml", "--out", "data"), 0, "log]0;owned[2J31m[link=file:]:boom:"),
         (("import", ".", "--out", "data"), 2, "v]0;owned"),
-        (("models", "show", "run/models/linear"), 0, "push]0;owned"),
+        (("models", "show", "run/models/linear"), 0, "push]0;owned[2J31m[link=file:///]:boom:"),
         (("runs", "show", "run"), 0, "linear"),
         (("fit", ".", "--columns", "map.toml", "--models", f"'{EVIL}'"), 2, "owned"),
         (("robots", "check", f"{EVIL}.toml"), 2, "robot file ]0;owned"),
@@ -104,6 +104,14 @@ def test_json_that_is_nested_without_end_counts_as_damaged(call):
         assert call.refused(*command).says("not a readable")
     _, (remark,) = load_measured(call.folder / "run")
     assert "x.json is damaged and left out" in remark
+
+
+def test_lines_and_tables_show_markup_and_emoji_as_text():
+    written, table = io.StringIO(), console.table_of("name")
+    table.add_row(EVIL)
+    for text in (EVIL, table):
+        Printer(file=written, width=200).print(text)
+    assert written.getvalue().count("]0;owned[2J31m[link=file:///]:boom:") == 2
 
 
 def test_bars_show_titles_and_remarks_as_text(monkeypatch, capsys):

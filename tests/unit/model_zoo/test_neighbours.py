@@ -116,6 +116,8 @@ def test_a_filled_cell_serves_itself_and_an_empty_one_is_served_by_the_nearest_i
 def test_a_control_that_cannot_be_cut_into_cells_is_refused():
     with pytest.raises(IncompatibleSystem, match=r"control 'f' is continuous and has no limits.*give limits"):
         cells(Channel("f", "N"))
+    with pytest.raises(IncompatibleSystem, match=r"expected at most 1,048,576 commands, got .* = 1,594,323"):
+        cells(*(Channel(f"u{i}", low=-1.0, high=1.0) for i in range(13)))
     with pytest.raises(InvalidArgument, match="NearestNeighbour: levels: expected a whole number >= 2, got 1"):
         make_model("nearest_neighbour", levels=1)
     system = System((Channel("x"),), (Channel("f", "N"),), dt=0.1)

@@ -47,7 +47,13 @@ def test_no_file_is_written_through_a_link(tmp_path):
     assert [file.read_bytes() for file in (tmp_path / "out").iterdir()] == [b"old"]
 
 
-@pytest.mark.parametrize("name", ["experiment.toml", "evil.py", "cells/other.json", "results/other-12345678.json"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "experiment.toml", "evil.py", "cells/other.json", "results/other-12345678.json",
+        f"models/one-{ONE.digest[:8]}.txt",
+    ],
+)  # fmt: skip
 def test_a_worker_writes_no_file_but_those_of_its_cell(tmp_path, done, name):
     (record_name, _, text), *files = done.bundle(ONE.digest)
     record = CellRecord.model_validate_json(text)
