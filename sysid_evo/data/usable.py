@@ -44,8 +44,8 @@ CONSTANT = 1e-12
 """Rounding errors of a constant state, as a share of its size."""
 
 
-def warnings_about(dataset: Dataset) -> Iterator[str]:
-    """Yield the reasons why the error of a model fitted to ``dataset`` is meaningless, to follow the model's name.
+def warnings_about(dataset: Dataset, use: str) -> Iterator[str]:
+    """Yield the reasons why the error of a model ("fitted to", "scored on") is meaningless, to follow its name.
 
     Raises `InvalidData` for numbers that are too large to compute with.
     """
@@ -62,9 +62,9 @@ def warnings_about(dataset: Dataset) -> Iterator[str]:
     wanted = max(FEWEST, 2 * (len(names) + 1))  # a linear model fits half as many exactly, whatever they are
     if dataset.n_steps < wanted:
         yield (
-            f"is fitted to {dataset.n_steps} steps, too few for {len(names)} states and controls: expected at least "
+            f"is {use} {dataset.n_steps} steps, too few for {len(names)} states and controls: expected at least "
             f"{wanted}, better {STEPS_PER_CHANNEL * (len(names) + 1)}. Its error does not carry over to other data; "
             "record for longer"
         )
     if (np.ptp(states, axis=0) <= np.maximum(CONSTANT * size, 1.0 / LARGEST)).all():  # one may: a body that never slips
-        yield "learns nothing: no state changes in the recording, so an error of 0 is meaningless"
+        yield f"is {use} a recording in which no state changes, so its error is meaningless"

@@ -332,6 +332,8 @@ class DynamicsModel(Dynamics, ParameterAccess):
         ``y`` is unused; scikit-learn passes it.
         """
         data = as_dataset(dataset, f"{type(self).__name__}.score", of=self.system)
+        for remark in warnings_about(data, "scored on"):
+            warnings.warn(f"{type(self).__name__} {remark}", DataWarning, stacklevel=2)
         return -simulation_error(self.without_noise(), error_windows(data, self.n_lags))
 
     def adapt(
@@ -498,7 +500,7 @@ def recorded(fit: Callable[..., DynamicsModel]) -> Callable[..., DynamicsModel]:
         self.check_parameters()
         self.check_installed()
         self.check_system(data.system)
-        for remark in warnings_about(data):
+        for remark in warnings_about(data, "fitted to"):
             warnings.warn(f"{type(self).__name__} {remark}", DataWarning, stacklevel=2)
         with reporting(progress, f"fit {type(self).__name__}") as report, one_blas_thread():
             return _kept(self, fit, data, generator, report)

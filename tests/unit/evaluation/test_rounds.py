@@ -296,7 +296,7 @@ def test_no_steps_are_kept_where_judged_episodes_have_no_noise():
     begun = RoundsSoFar(data, RoundsSummary(first=600, first_episode=80))
     noisy = replace(planned.settings, previous=0)
     assert noisy.compute(Work(begun)).summary.ended
-    with pytest.raises(DataWarning, match="learns nothing"):  # the round is made, with this recording
+    with pytest.raises(DataWarning, match="in which no state changes"):  # the round is made, with this recording
         replace(noisy, noisy_share=0.5).compute(Work(begun))
 
 
