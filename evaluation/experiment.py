@@ -63,8 +63,8 @@ class Experiment(BaseModel):
     """Settings of a comparison: models, data, controllers, robot, budget and seed; each field describes itself.
 
     Names are texts in the grammar of `Spec`. None leaves a choice to `plan_comparison`; for the settings of `Budget` it
-    means that of the ``preset``, for ``noise`` `Task.default_noise`, which applies to models only. Noise and penalty do
-    not count in claimed fitness. The search on the robot that ``reference`` adds is no longer than those on models: it
+    means that of the ``preset``, for ``noise`` `Task.default_noise`, which applies to models only. Noise does not
+    count in claimed fitness. The search on the robot that ``reference`` adds is no longer than those on models: it
     is a reference, no upper limit. Settings without a panel are set in ``experiment.toml`` only.
     """
 
@@ -116,10 +116,6 @@ class Experiment(BaseModel):
     noise: str | None = setting(
         None, "Disturbances during evolution, such as domain_randomisation(latency=2), or none (those of the task)",
         "Robustness", "SPEC", kind="noise",
-    )  # fmt: skip
-    penalty: str = setting(
-        "", "Fitness penalty where models extrapolate, such as uncertainty(outside=5)", "Robustness",
-        "SPEC", kind="penalty",
     )  # fmt: skip
     estimator_delay: Seconds = setting(
         0.0, "State-estimate latency, such as 50ms, simulated in evolution and scoring", "Robustness", "TIME", ge=0.0
@@ -206,7 +202,7 @@ Settings = TypedDict("Settings", {  # noqa: UP013  # several in a line
     "preset": Literal["quick", "standard", "paper"],
     "stop_after": Literal["fit", "prediction"] | None, "task": str | None, "controller": str | None,
     "baselines": Sequence[str], "strategy": str | None, "procedure": Procedure | None, "aggregate": str,
-    "noise": str | None, "penalty": str, "starts": str | None, "generations": int | None,
+    "noise": str | None, "starts": str | None, "generations": int | None,
     "search_minutes": float, "trials": int | None, "repeats": int | None, "polish_generations": int | None,
     "selection_trials": int, "estimator_delay": float, "transfer_trials": int, "robot_trials": int | None,
     "traces": int, "reference": bool | None, "seed": int, "rounds": int | None, "command_noise": float,
@@ -215,7 +211,7 @@ Settings = TypedDict("Settings", {  # noqa: UP013  # several in a line
 """The keywords of `evaluation.compare`, for type checkers; see `Experiment`."""
 
 OF_CONTROLLERS = (
-    "task", "controller", "baselines", "strategy", "procedure", "aggregate", "noise", "penalty", "starts",
+    "task", "controller", "baselines", "strategy", "procedure", "aggregate", "noise", "starts",
     "generations", "search_minutes", "trials", "repeats", "polish_generations", "selection_trials", "estimator_delay",
     "transfer_trials", "robot_trials", "traces", "reference", "ensembles", "rounds", "command_noise", "noisy_share",
     "max_steps", "searched",

@@ -108,9 +108,6 @@ class CheckpointWarning(UserWarning):
 RENAMED: Mapping[str, tuple[str, ...]] = {
     "base": ("exact_channels",),
     "by_hand": ("baselines",),
-    "caution": ("penalty",),
-    "cautions": ("penalties",),
-    "doubt": ("uncertainty",),
     "end": ("abort_error",),
     "envelope": ("domain_randomisation",),
     "gate": ("cutoff",),

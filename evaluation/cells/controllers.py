@@ -28,7 +28,7 @@ from sysid_evo.evolution.champion import load_champion, save_champion
 from sysid_evo.evolution.halving import Start
 from sysid_evo.plan import CELL_KINDS, Cell, CellContext, CellKind, CellSettings, ResultType, blocked_reason, cell_seed
 from sysid_evo.registry import Spec, aggregates, controllers, make_robot, strategies, tasks
-from sysid_evo.registry.registry import noises, penalties
+from sysid_evo.registry.registry import noises
 from sysid_evo.rigid_body import RigidBody
 from sysid_evo.system import System
 
@@ -56,7 +56,6 @@ def identity_of(settings: ControllerEvolution) -> dict[str, Any]:
         "selection_trials": settings.selection_trials,
         "estimator_delay": settings.estimator_delay,
         "noise": noises.identity(settings.noise) if settings.noise else None,
-        "penalty": penalties.identity(settings.penalty) if settings.penalty else None,
     }
 
 
@@ -344,7 +343,6 @@ def evolution_settings(experiment: Experiment) -> ControllerEvolution:
         task=task,
         strategy=Spec.parse(budget.strategy),
         noise="" if noise == NONE else noise,
-        penalty=experiment.penalty,
         starts=Start.listed(starts),
     )
 

@@ -78,7 +78,7 @@ def default_rounds(experiment: Experiment, robot: Spec) -> int | None:
     if experiment.stop_after is not None or experiment.data_digest is not None:
         return None
     chosen = ("models", "controller", "strategy", "procedure", "starts", "generations", "reference", "ensembles")
-    given = any(getattr(experiment, name) is not None for name in chosen) or experiment.penalty
+    given = any(getattr(experiment, name) is not None for name in chosen)
     if given or not _is_cheap(experiment, robot) or make_robot(robot).dynamics is not None:
         return None
     if isinstance(make_robot(robot).system.motion, PlanarBody):

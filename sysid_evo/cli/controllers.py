@@ -26,7 +26,7 @@ def systems() -> list[str]:
 
 
 EVOLUTION = (
-    "task", "controller", "strategy", "procedure", "aggregate", "starts", "noise", "penalty",
+    "task", "controller", "strategy", "procedure", "aggregate", "starts", "noise",
     "estimator_delay", "preset", "generations", "search_minutes", "trials", "repeats", "seed", "plugins",
 )  # fmt: skip
 """The settings of a comparison that one evolution has, too."""

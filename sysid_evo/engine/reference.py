@@ -78,7 +78,7 @@ def run(
                 recorded_controls[active, k], recorded_poses[active, k + 1] = control[active], task_state.pose[active]
         fitness = task.fitness(task_state)
 
-    penalty = np.zeros(batch) if dynamics.penalty_at is None else carry[:, dynamics.penalty_at]
+    outside = np.zeros(batch) if dynamics.outside_at is None else carry[:, dynamics.outside_at]
     tape = (recorded_states, recorded_controls, recorded_poses)
-    found = LoopResults(fitness, survived, clipped, diverged, counts, penalty, tape)
+    found = LoopResults(fitness, survived, clipped, diverged, counts, outside, tape)
     return finished(found, task, system, start, task_state, ENGINE, record)

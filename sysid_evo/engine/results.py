@@ -24,7 +24,7 @@ class Rollouts:
     - ``survived`` (P, E): number of steps; ``clipped`` (P, E): steps whose state was clipped to the state bounds.
     - ``task_state``: the last state of the task, (P E) trials; ``engine``: the form that ran.
     - ``behaviour`` (P, E, d): descriptors, see `behaviour_names`; d is 0 if they were not counted.
-    - ``penalty`` (P, E): penalty in steps, as counted by the dynamics (`Dynamics`); empty if the runner has none.
+    - ``outside`` (P, E): steps outside the data, as counted by the dynamics (`Dynamics`); empty if the runner has none.
     - ``trajectories``: if recorded, candidate first, trial second; ``missing``: reasons for skipped trials of a robot.
     """
 
@@ -34,7 +34,7 @@ class Rollouts:
     task_state: TaskState
     engine: str
     behaviour: Array = field(default_factory=lambda: np.empty((0, 0, 0)))
-    penalty: Array = field(default_factory=lambda: np.empty((0, 0)))
+    outside: Array = field(default_factory=lambda: np.empty((0, 0)))
     trajectories: tuple[Trajectory, ...] = ()
     missing: tuple[str, ...] = ()
 
@@ -51,7 +51,7 @@ def finished(
         task_state=task_state,
         engine=engine,
         behaviour=time_shares(found.counts, found.survived, found.diverged).reshape(*grid, -1),
-        penalty=np.where(found.diverged, 0.0, found.penalty).reshape(grid),
+        outside=np.where(found.diverged, 0.0, found.outside).reshape(grid),
         trajectories=trajectories(found.tape, found.survived, start.pose, task, system) if record else (),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Literal, Protocol, get_args, runtime_checkable
 
@@ -69,30 +69,6 @@ class DynamicsRunner:
     def bind(self, controller: Controller, task: Task) -> BoundRollout:
         """Return the bound rollout of ``controller`` and ``task`` in the dynamics, see `rollout`."""
         return BoundRollout(self.dynamics, controller, task, engine=self.engine, threads=self.threads)
-
-
-@dataclass(frozen=True)
-class PenalisedRunner:
-    """A runner that subtracts the penalty, averaged over the steps of the task, from the fitness of ``runner``.
-
-    A trial that diverges loses ``max_penalty``, so that it stays below all others.
-    """
-
-    runner: Runner
-    max_penalty: float
-
-    def bind(self, controller: Controller, task: Task) -> BoundRunner:
-        """Return the bound runner of ``controller`` and ``task``, see `Runner`."""
-        bound = self.runner.bind(controller, task)
-
-        def penalised(parameters: Array, seeds: Seeds, *, record: bool = False) -> Rollouts:
-            run = bound(parameters, seeds, record=record)
-            if run.penalty.shape != run.fitness.shape:
-                return run
-            penalty = np.where(run.fitness < task.worst, self.max_penalty, run.penalty / task.horizon)
-            return replace(run, fitness=run.fitness - penalty)
-
-        return penalised
 
 
 def as_runners(given: Mapping[str, Runner | Dynamics], what: str) -> dict[str, Runner]:
@@ -181,7 +157,7 @@ class BoundRollout:
             n_memory=controller.n_memory,
             n_observations=len(task.observations),
             observed_at=dynamics.observed_at,
-            penalty_at=dynamics.penalty_at,
+            outside_at=dynamics.outside_at,
             state_bounds=dynamics.state_bounds,
             precision=enough(dynamics_kernel.precision, dynamics.state_bounds) if engine == "auto" else engine,
         )

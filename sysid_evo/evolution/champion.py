@@ -39,7 +39,7 @@ class Finalist:
         return {name: value for name, value in vars(self).items() if name != "parameters"}
 
 
-PLAIN = ("name", "aggregate", "seed", "estimator_delay", "noise", "penalty", "polished")
+PLAIN = ("name", "aggregate", "seed", "estimator_delay", "noise", "polished")
 LISTS = ("against", "seed_fitness", "scoring_models")
 """Fields of a champion that are stored as they are, and as lists."""
 
@@ -49,8 +49,8 @@ class Champion(Displayed):
     """One evolved parameter vector (n,) of a registered ``controller`` for a registered ``task``.
 
     - ``against``: labels of the models of its evolution; ``aggregate``: the rule that combined their fitness.
-    - ``history`` (G, 3): best, mean and worst fitness of each generation, with ``estimator_delay`` (s), ``noise`` and
-      ``penalty`` (specs, empty for none); ``population`` (P, n): the last candidates, best first.
+    - ``history`` (G, 3): best, mean and worst fitness of each generation, with ``estimator_delay`` (s) and
+      ``noise`` (a spec, empty for none); ``population`` (P, n): the last candidates, best first.
     - ``finalists``: the candidates among which it was chosen, by their score on the ``scoring_models`` or by fitness.
     - ``seed_fitness``: fitness of the best finalist of each run (one evolution seed each), on the same fresh trials.
     - ``system``: None for a human driver; ``polished``: True if it was refined on several models, see `polish`.
@@ -66,7 +66,6 @@ class Champion(Displayed):
     task: Converted[Spec | str, Spec] = Converted(spec_of, "point_to_point")
     estimator_delay: float = 0.0
     noise: str = ""
-    penalty: str = ""
     seed_fitness: tuple[float, ...] = ()
     system: System | None = None
     scoring_models: tuple[str, ...] = ()

@@ -13,7 +13,7 @@ from sysid_evo.carry import clip_state
 from sysid_evo.controllers.controller import Controller, make_controller
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.engine.results import behaviour_names
-from sysid_evo.engine.rollout import DynamicsRunner, PenalisedRunner, Runner, as_runners
+from sysid_evo.engine.rollout import DynamicsRunner, Runner, as_runners
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.ensemble import EnsembleObjective
@@ -24,11 +24,10 @@ from sysid_evo.evolution.runs import FinishedRun, Runs, evolution_digest
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, make_strategy
 from sysid_evo.models.disturbances import Disturbed, DomainRandomisation
 from sysid_evo.models.dynamics import Dynamics, started
-from sysid_evo.models.penalty import UncertaintyPenalty
 from sysid_evo.progress import Checkpoint, Progress, reporting
 from sysid_evo.randomness import as_seed, derived_seed, trial_seeds
 from sysid_evo.registry.grammar import Spec
-from sysid_evo.registry.registry import aggregates, controllers, noises, penalties, strategies, tasks
+from sysid_evo.registry.registry import aggregates, controllers, noises, strategies, tasks
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task, make_task
 from sysid_evo.types import Array, Converted, IntArray, Seeds
@@ -51,7 +50,6 @@ class ControllerEvolution:
       successive halving, see `Halving`.
     - ``noise``: domain randomisation, a spec (`DomainRandomisation`), empty for none. It acts during evolution and the
       choice of the champion, not when claims are measured.
-    - ``penalty``: fitness penalty where models extrapolate, a spec (`UncertaintyPenalty`), empty for none.
     """
 
     generations: int = 300
@@ -64,7 +62,6 @@ class ControllerEvolution:
     task: Converted[Spec | str, Spec] = Converted(tasks.check, "point_to_point")
     strategy: Converted[Spec | str, Spec] = Converted(strategies.check, "mu_plus_lambda")
     noise: str = ""
-    penalty: str = ""
     starts: Converted[Sequence[Start] | str, tuple[Start, ...]] = Converted(Start.listed, ())
 
     def __post_init__(self) -> None:
@@ -76,7 +73,6 @@ class ControllerEvolution:
             Halving(len(self.starts) * self.repeats, self.generations * self.repeats)
         aggregates.check(self.aggregate)
         self.make_noise()
-        self.make_penalty()
         if not 0.0 <= self.estimator_delay < np.inf:
             raise InvalidArgument(f"evolution: expected estimator_delay >= 0 s, got {self.estimator_delay}")
 
@@ -96,10 +92,6 @@ class ControllerEvolution:
     def make_noise(self) -> DomainRandomisation | None:
         """Return the domain randomisation, None without one."""
         return noises.make(self.noise) if self.noise else None
-
-    def make_penalty(self) -> UncertaintyPenalty | None:
-        """Return the uncertainty penalty, None without one."""
-        return penalties.make(self.penalty) if self.penalty else None
 
     def make_strategy(
         self, n_parameters: int, seed: int, spec: Spec | None = None, *, initial: Array | None = None,
@@ -225,7 +217,6 @@ def evolve_controller(
         task=settings.task,
         estimator_delay=settings.estimator_delay,
         noise=settings.noise,
-        penalty=settings.penalty,
         seed_fitness=tuple(ended[run].fitness for run in same),
         system=system,
         finalists=tuple(chain.from_iterable(ended[run].finalists for run in same)),
@@ -239,23 +230,15 @@ def selection_seeds(seed: int, trials: int) -> Seeds:
 
 
 def disturbed_runners(runners: Mapping[str, Runner], settings: ControllerEvolution) -> dict[str, Runner]:
-    """Return ``runners`` with the noise, delay and penalty of ``settings``. Raises `InvalidArgument` for no model."""
-    noise, penalty, delay = settings.make_noise(), settings.make_penalty(), settings.estimator_delay
-    if noise is None and penalty is None and delay == 0.0:
+    """Return ``runners`` with the noise and delay of ``settings``. Raises `InvalidArgument` for no model."""
+    noise, delay = settings.make_noise(), settings.estimator_delay
+    if noise is None and delay == 0.0:
         return dict(runners)
     found: dict[str, Runner] = {}
     for label, runner in runners.items():
         if not isinstance(runner, DynamicsRunner):
-            raise InvalidArgument(
-                f"evolution: {label} is not a model: noise, penalty and delay can only be added to models"
-            )
-        dynamics = runner.dynamics
-        if penalty is not None:
-            dynamics = penalty.around(dynamics)
-        if noise is not None or delay:
-            dynamics = Disturbed(dynamics, noise, delay=delay)
-        alone = replace(runner, dynamics=dynamics)
-        found[label] = alone if penalty is None else PenalisedRunner(alone, penalty.outside)
+            raise InvalidArgument(f"evolution: {label} is not a model: noise and delay can only be added to models")
+        found[label] = replace(runner, dynamics=Disturbed(runner.dynamics, noise, delay=delay))
     return found
 
 

@@ -10,7 +10,7 @@ from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine.rollout import DynamicsRunner, Runner
 from sysid_evo.evolution.loop import Scores
 from sysid_evo.models.disturbances import Disturbed, DomainRandomisation
-from sysid_evo.models.penalty import UncertaintyPenalty
+from sysid_evo.models.outside import OutsideCounter
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import tasks
 from sysid_evo.system import System
@@ -73,7 +73,7 @@ def lasting_fitness(
     """Return the fitness of each candidate under noise, and its share of time outside the data, (P, 2).
 
     Both are means over the trials ``seeds`` in those of ``runners`` that are models. A step is outside as for
-    `UncertaintyPenalty`. The horizon is `HORIZON_MULTIPLE` times that of the task, if the task has such a parameter.
+    `OutsideCounter`. The horizon is `HORIZON_MULTIPLE` times that of the task, if the task has such a parameter.
     Zeros without a model.
     """
     horizon = make_task(task).bind(system).horizon
@@ -81,10 +81,10 @@ def lasting_fitness(
     found = []
     for runner in runners.values():
         if isinstance(runner, DynamicsRunner) and getattr(runner.dynamics, "training_sample_", None) is not None:
-            checked = UncertaintyPenalty(outside=1.0).around(runner.dynamics)
-            bound = DynamicsRunner(Disturbed(checked, NOISE, delay=delay), runner.engine, runner.threads)
+            noisy = Disturbed(OutsideCounter(runner.dynamics), NOISE, delay=delay)
+            bound = DynamicsRunner(noisy, runner.engine, runner.threads)
             run = bound.bind(law, goal)(population, seeds[:MARGIN_TRIALS])
-            outside = np.minimum(run.penalty / np.maximum(run.survived, 1), 1.0)
+            outside = np.minimum(run.outside / np.maximum(run.survived, 1), 1.0)
             found.append(np.stack([run.fitness.mean(axis=1), outside.mean(axis=1)], axis=1))
     return np.mean(found, axis=0) if found else np.zeros((len(population), 2))
 

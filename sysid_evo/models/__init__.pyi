@@ -2,7 +2,7 @@ from .adapters import Adapter, as_model, bases_of, family_name
 from .base import DynamicsModel, require_planar
 from .disturbances import Disturbed, DomainRandomisation, state_std
 from .dynamics import Dynamics, PlainDynamics, training_bounds
-from .penalty import Penalised, UncertaintyPenalty
+from .outside import OutsideCounter
 from .storage import load_model, save_model
 
 __all__ = [
@@ -11,9 +11,8 @@ __all__ = [
     "DomainRandomisation",
     "Dynamics",
     "DynamicsModel",
-    "Penalised",
+    "OutsideCounter",
     "PlainDynamics",
-    "UncertaintyPenalty",
     "as_model",
     "bases_of",
     "family_name",

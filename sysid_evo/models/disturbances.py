@@ -111,7 +111,7 @@ class Disturbed(PlainDynamics):
             raise InvalidArgument(f"disturbances: expected a delay >= 0 s, got {delay}")
         if inner.observed_at != 0:
             raise InvalidArgument("disturbances: these dynamics are disturbed already; give noise and delay together")
-        self.inner, self.system, self.penalty_at = inner, inner.system, inner.penalty_at
+        self.inner, self.system, self.outside_at = inner, inner.system, inner.outside_at
         self.noise = noise = DomainRandomisation() if noise is None else noise
         nx, nu, samples = inner.system.nx, inner.system.nu, delay / inner.system.dt
         self.free_states, self.free_controls = noise.disturbed_channels(inner.system)

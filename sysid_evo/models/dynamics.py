@@ -28,11 +28,11 @@ class Dynamics(ABC):
       numbers are never drawn inside.
     - ``observed_at``: index in the carry of the state that controllers and tasks observe: 0, unless a wrapper adds an
       estimate.
-    - ``penalty_at``: index in the carry of the accumulated uncertainty penalty; None without one.
+    - ``outside_at``: index in the carry of the count of steps outside the training data; None without one.
     """
 
     observed_at: int = 0
-    penalty_at: int | None = None
+    outside_at: int | None = None
     if TYPE_CHECKING:  # properties in a family, plain attributes in `PlainDynamics`
 
         @property

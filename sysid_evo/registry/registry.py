@@ -1,4 +1,4 @@
-"""Registries that find things by name: the class, the thirteen registries, robots by name or file."""
+"""Registries that find things by name: the class, the twelve registries, robots by name or file."""
 
 from __future__ import annotations
 
@@ -327,8 +327,6 @@ probes: Registry[Any] = Registry("probe", "sysid_evo.probes")
 motions: Registry[Any] = Registry("motion", "sysid_evo.motions")
 noises: Registry[Any] = Registry("noise", "sysid_evo.noises")
 """Names for ``--noise``."""
-penalties: Registry[Any] = Registry("penalty", "sysid_evo.penalties")
-"""Names for ``--penalty``."""
 adapters: Registry[Any] = Registry("adapter", "sysid_evo.adapters")
 """Types of objects that are models, see `sysid_evo.models.adapters`."""
 
@@ -336,7 +334,7 @@ KINDS: dict[str, Registry[Any]] = {
     registry.kind: registry
     for registry in (
         models, tasks, controllers, strategies, aggregates, robots, trackers, readers, probes, motions, noises,
-        penalties, adapters,
+        adapters,
     )
 }  # fmt: skip
 """The kinds that ``sysid-evo names`` lists."""

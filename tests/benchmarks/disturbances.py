@@ -1,4 +1,4 @@
-"""Time of rollouts with disturbances and penalties: ``python -m tests.benchmarks.disturbances``.
+"""Time of rollouts with disturbances: ``python -m tests.benchmarks.disturbances``.
 
 Each family is fitted to six minutes of the emulated car with the preset quick. Evolved controllers are rolled out in
 the model alone and within each wrapper, in turn, compiled, on one thread: 1000 trials of 500 steps. Prints the
@@ -20,7 +20,6 @@ from sysid_evo import make_model
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import rollout
 from sysid_evo.models import Disturbed, DomainRandomisation, Dynamics
-from sysid_evo.models.penalty import UncertaintyPenalty
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import Spec
 from sysid_evo.tasks import PointToPoint
@@ -49,7 +48,6 @@ def wrapped(model: Dynamics) -> dict[str, Dynamics]:
         "`latency=2`": noisy(latency=2),
         "`process=0.1`": noisy(process=0.1),
         "all of these": noisy(sensor=0.1, gain=0.1, latency=2, process=0.1),
-        "`outside=5`": UncertaintyPenalty(outside=5.0).around(model),
     }
 
 

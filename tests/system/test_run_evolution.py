@@ -65,7 +65,7 @@ class Warned(Store):
 def test_a_controller_is_forecast_from_at_least_two_models_and_recorded_where_it_leaves_the_data(run_copy):
     store, results = Store(run_copy), {}
     for members in (("linear",), ("emulated_car",)):
-        plan = planned(run_copy, *members, penalty="uncertainty(outside=1)")
+        plan = planned(run_copy, *members, noise="domain_randomisation(sensor=0.1)")
         execute(plan.plan, store)
         results[members] = evolution_result(plan, store)
         warned = evolution_result(plan, Warned(run_copy)).forecast

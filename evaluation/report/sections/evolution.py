@@ -109,7 +109,6 @@ class SearchPart(Part):
     task: str
     estimator_delay: float
     noise: str
-    penalty: str
     seed_fitness: tuple[Number, ...]
     scoring_models: tuple[str, ...]
     polished: bool

@@ -53,8 +53,9 @@ class LoopTrials:
 class LoopResults:
     """Results of B = P E rollouts, candidate first, trial second; a rollout that ``diverged`` ended at that step.
 
-    ``counts`` (B, d) are the counts of the behaviour samples, ``penalty`` (B,) the penalty in steps. ``tape`` holds the
-    recorded states (B, horizon + 1, nx), controls (B, horizon, nu) and poses (B, horizon + 1, n_pose), flat or not.
+    ``counts`` (B, d) are the counts of the behaviour samples, ``outside`` (B,) the steps outside the data. ``tape``
+    holds the recorded states (B, horizon + 1, nx), controls (B, horizon, nu) and poses (B, horizon + 1, n_pose), flat
+    or not.
     """
 
     fitness: Array
@@ -62,7 +63,7 @@ class LoopResults:
     clipped: IntArray
     diverged: BoolArray
     counts: Array
-    penalty: Array
+    outside: Array
     tape: tuple[Array, Array, Array]
 
 
@@ -70,8 +71,8 @@ class LoopData:
     """A compiled closed loop and the data that all trials share, in one precision.
 
     ``n_memory`` and ``n_observations`` are sizes of the controller. ``observed_at`` is the first row of the observed
-    state in the carry, ``penalty_at`` the row that counts the penalty, None without a penalty. States are clipped to
-    ``state_bounds`` (2, nx).
+    state in the carry, ``outside_at`` the row that counts the steps outside the data, None without a count. States are
+    clipped to ``state_bounds`` (2, nx).
     """
 
     def __init__(
@@ -84,7 +85,7 @@ class LoopData:
         n_memory: int,
         n_observations: int,
         observed_at: int = 0,
-        penalty_at: int | None = None,
+        outside_at: int | None = None,
         state_bounds: Array | None = None,
         precision: Precision = "float32",
     ) -> None:
@@ -112,7 +113,7 @@ class LoopData:
             "pose_row": task.pose_row,
             "n_pose": task.n_pose,
             "observed_at": observed_at,
-            "penalty_at": -1 if penalty_at is None else penalty_at,
+            "outside_at": -1 if outside_at is None else outside_at,
         }
         self.rows = {
             "control": system.nu,
@@ -156,7 +157,7 @@ class LoopData:
             "fitness": rollouts,
             "final_task": rollouts * n_task,
             "counts": rollouts * 2 * (nx + nu),
-            "penalties": rollouts,
+            "outside": rollouts,
             "states": max(1, recorded * (horizon + 1) * nx),
             "controls": max(1, recorded * horizon * nu),
             "poses": max(1, recorded * (horizon + 1) * n_pose),
@@ -187,7 +188,7 @@ class LoopData:
             clipped=outcomes["clipped"],
             diverged=outcomes["diverged"] > 0,
             counts=results["counts"].reshape(rollouts, -1).astype(np.float64),
-            penalty=results["penalties"].astype(np.float64),
+            outside=results["outside"].astype(np.float64),
             tape=(results["states"], results["controls"], results["poses"]),
         )
         return found, results["final_task"].reshape(rollouts, n_task).T.astype(np.float64)

@@ -38,7 +38,7 @@ SAMPLE_EVERY = 5
 
 CLOSED = Layout(
     "trials", "horizon", "n_carry", "nx", "nu", "n_memory", "n_task", "n_noise", "n_theta", "rollouts", "record",
-    "pose_row", "n_pose", "observed_at", "penalty_at",
+    "pose_row", "n_pose", "observed_at", "outside_at",
 )  # fmt: skip
 SHARED = Arrays(
     "noise_of", "dynamics_parameters", "controller_parameters", "task_parameters", "theta_of", "start", "task_start",
@@ -48,7 +48,7 @@ WORK = Arrays(
     "carry", "control", "noise", "memory", "observation", "raw", "before", "task", "theta", "snapshot", "sign_counts",
     "trial_index", "scratch", "controller_scratch",
 )  # fmt: skip
-RESULTS = Arrays("fitness", "final_task", "counts", "penalties", "states", "controls", "poses")
+RESULTS = Arrays("fitness", "final_task", "counts", "outside", "states", "controls", "poses")
 OUTCOMES = Arrays("survived", "clipped", "diverged", kind=INTEGERS)
 
 
@@ -143,8 +143,8 @@ def closed_loop(dynamics, controller, observe, advance, sizes, shared, work, tri
                 results.final_task[rollout * n_task + row] = work.task[row * LANES + lane]
             for row in range(2 * (nx + nu)):
                 results.counts[rollout * 2 * (nx + nu) + row] = work.sign_counts[row * LANES + lane]
-            if sizes.penalty_at >= 0:
-                results.penalties[rollout] = work.carry[sizes.penalty_at * LANES + lane]
+            if sizes.outside_at >= 0:
+                results.outside[rollout] = work.carry[sizes.outside_at * LANES + lane]
             if (ended >> lane) & 1 == 0:
                 outcomes.survived[rollout] = horizon
 

@@ -14,7 +14,7 @@ from sysid_evo.engine.imagined import ImaginedTrials
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.evolution import ControllerEvolution, evolve_controller
 from sysid_evo.kernels import DynamicsKernel, ScalarStep
-from sysid_evo.models import Disturbed, DomainRandomisation, Penalised
+from sysid_evo.models import Disturbed, DomainRandomisation, OutsideCounter
 from sysid_evo.predictive_control import Predictive
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_robot, models, tasks
@@ -104,7 +104,7 @@ def agree(given, engine="auto", *, share=1.0):
         for a, b in zip(fast.trajectories, exact.trajectories, strict=True)
     ]
     assert np.mean(alike) >= share
-    for name in ("fitness", "survived", "clipped", "penalty"):
+    for name in ("fitness", "survived", "clipped", "outside"):
         found, expected = getattr(fast, name), getattr(exact, name)
         assert found.shape == expected.shape
         assert np.isclose(found, expected, rtol=tolerance, atol=tolerance).mean() >= share, name
@@ -235,16 +235,16 @@ def test_every_delay_steps_as_in_numpy(delay, engine, two, throttle_car_data):
 
 @FORMS
 @pytest.mark.parametrize("every", [1, 3])
-def test_a_penalty_is_counted_as_in_numpy_and_changes_no_score(every, engine, two, throttle_car_data):
+def test_steps_outside_the_data_are_counted_as_in_numpy_and_change_no_score(every, engine, two, throttle_car_data):
     one = two[0]
-    doubted = Penalised(one, 1.0, every=every)
-    steps_agree(doubted, throttle_car_data, engine)
-    given = Given(doubted, RecurrentNetwork(), WAYPOINTS, scale=2.0)
+    counter = OutsideCounter(one, every=every)
+    steps_agree(counter, throttle_car_data, engine)
+    given = Given(counter, RecurrentNetwork(), WAYPOINTS, scale=2.0)
     fast, exact = agree(given, engine)
-    assert exact.penalty.max() > 0.1
+    assert exact.outside.max() > 0.1
     plain = Given(one, RecurrentNetwork(), WAYPOINTS, scale=2.0).run(engine)
     np.testing.assert_array_equal(fast.fitness, plain.fitness)
-    assert not plain.penalty.any()
+    assert not plain.outside.any()
 
 
 @FORMS
@@ -252,13 +252,13 @@ def test_noise_and_a_delay_are_the_same_in_every_trial_and_matter(engine, two):
     """Whatever the number of threads; without a delay every form scores as without the wrapper."""
     model = two[0]
     given = Given(
-        Disturbed(Penalised(model, 1.0), NOISY, delay=0.07),
+        Disturbed(OutsideCounter(model), NOISY, delay=0.07),
         RecurrentNetwork(),
         WAYPOINTS,
         scale=2.0,
     )
     fast, exact = agree(given, engine)
-    assert exact.penalty.any()
+    assert exact.outside.any()
     plain, late, at_once = (
         Given(one, RecurrentNetwork(), WAYPOINTS, scale=2.0).run(engine)
         for one in (model, Disturbed(model, delay=0.12), Disturbed(model))
@@ -273,7 +273,7 @@ def test_noise_and_a_delay_are_the_same_in_every_trial_and_matter(engine, two):
         for threads in (1, 2)
     )
     np.testing.assert_array_equal(one.fitness, two.fitness)
-    np.testing.assert_array_equal(one.penalty, two.penalty)
+    np.testing.assert_array_equal(one.outside, two.outside)
 
 
 ROBOTS = {

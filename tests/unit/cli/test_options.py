@@ -25,7 +25,7 @@ NEEDED = {"import": ["--out", "new"], "adapt": ["--data", "car", "--out", "new"]
           "export": ["--to", "c"]}  # fmt: skip
 VALUES = {"stop-after": "prediction", "procedure": "plain", "to": "python", "seconds": "5"}
 
-OF_CONTROLLERS = ("aggregate", "baselines", "penalty", "controller", "ensembles", "estimator-delay", "generations",
+OF_CONTROLLERS = ("aggregate", "baselines", "controller", "ensembles", "estimator-delay", "generations",
                   "noise", "procedure", "repeats", "strategy", "task", "trials", "reference", "starts",
                   "rounds", "search-minutes")  # fmt: skip
 TOGETHER = {

@@ -175,8 +175,8 @@ def test_an_unknown_name_is_answered_with_the_nearest_known_one():
 
 
 def test_an_old_name_of_a_thing_or_a_parameter_is_answered_with_the_new_one():
-    with pytest.raises(UnknownName, match=r"no penalty is called 'doubt'\. It is called 'uncertainty' now\. Known: "):
-        KINDS["penalty"].get("doubt")
+    with pytest.raises(UnknownName, match=r"no noise is called 'envelope'\. It is called 'domain_randomisation' now"):
+        KINDS["noise"].get("envelope")
     with pytest.raises(InvalidArgument, match=r"'narx' has no parameter 'most_steps'\. It is called 'max_steps' now"):
         models.check("narx(most_steps=9)")
 
@@ -332,7 +332,7 @@ def test_an_identity_is_strict_json_whatever_the_parameters_are(things):
 def test_every_registry_is_among_the_kinds():
     defined = {id(value) for value in vars(registry_module).values() if isinstance(value, Registry)}
     assert defined == {id(registry) for registry in KINDS.values()}
-    assert {"noise", "penalty"} <= {kind for kind, registry in KINDS.items() if entry_points(group=registry.group)}
+    assert {"noise", "probe"} <= {kind for kind, registry in KINDS.items() if entry_points(group=registry.group)}
 
 
 def test_a_long_text_among_the_parameters_is_left_out_for_readers_only():

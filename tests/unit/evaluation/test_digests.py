@@ -100,7 +100,6 @@ def test_the_plan_has_the_cells_that_the_table_below_speaks_of():
         ({"selection_trials": 3}, CONTROLLERS),
         ({"estimator_delay": 0.02}, CONTROLLERS),
         ({"noise": "domain_randomisation(gain=0.1)"}, CONTROLLERS),
-        ({"penalty": "uncertainty(outside=1)"}, CONTROLLERS),
         ({"transfer_trials": 4}, RUNS | ASSESS),
         ({"traces": 3}, RECORDED | ASSESS),
         ({"robot": "emulated_car(seed=2)"}, ON_ROBOT | ASSESS),

@@ -9,7 +9,6 @@ from evaluation.cells.controllers import Evolve, evolution_settings
 from evaluation.cells.plants import Plant
 from evaluation.experiment import Experiment
 from sysid_evo.engine import DynamicsRunner, Rollouts, rollout
-from sysid_evo.engine.rollout import PenalisedRunner
 from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError, UnknownName
 from sysid_evo.evolution import ControllerEvolution, evolve_controller, polish
 from sysid_evo.evolution.controller_evolution import disturbed_runners
@@ -271,7 +270,6 @@ def test_a_bare_model_is_run_by_a_runner_of_its_own_and_what_is_none_is_refused(
         ),
         ({"task": "point_to_point(radius=0.1)"}, InvalidArgument, "task 'point_to_point' has no parameter 'radius'"),
         ({"noise": "fog(density=2)"}, UnknownName, "domain_randomisation"),
-        ({"penalty": "fog"}, UnknownName, "uncertainty"),
     ],
 )
 def test_impossible_settings_are_refused_where_they_are_given(settings, error, reason):
@@ -300,13 +298,13 @@ def test_noise_decides_what_candidates_score_and_the_same_seed_gives_the_same(mo
     assert not np.array_equal(first.history, other.history)
 
 
-def test_noise_and_penalty_apply_to_a_polish(models, evolved):
+def test_noise_applies_to_a_polish(models, evolved):
     start = evolved(models=models)
-    plain, doubted = (
-        polish("x", start, models, replace(SETTINGS, noise=NOISE, penalty=penalty), seed=3, generations=1)
-        for penalty in ("", "uncertainty(outside=100)")
+    plain, noisy = (
+        polish("x", start, models, replace(SETTINGS, noise=noise), seed=3, generations=3)
+        for noise in ("", "domain_randomisation(sensor=2.0, process=2.0)")
     )
-    assert doubted.history.min() < 0.0 <= plain.history.min()
+    assert not np.array_equal(noisy.history, plain.history)
 
 
 def test_noise_applies_to_every_model(models):
@@ -316,29 +314,14 @@ def test_noise_applies_to_every_model(models):
         assert runner.dynamics.noise == noises.make(NOISE)
 
 
-def test_candidates_lose_fitness_where_models_are_uncertain(models, evolved):
-    plain, cautious = (
-        evolved(replace(SETTINGS, penalty=penalty), models) for penalty in ("", "uncertainty(outside=100)")
-    )
-    assert cautious.history[:, 2].min() < -1.0 <= plain.history[:, 2].min()
-    doubted = disturbed_runners(
-        models,
-        replace(SETTINGS, noise="domain_randomisation(gain=0.1)", penalty="uncertainty(outside=3)"),
-    )
-    assert isinstance(doubted["a"], PenalisedRunner)
-    assert doubted["a"].max_penalty == 3.0
-
-
 def test_noise_belongs_to_what_a_controllers_cell_depends_on():
     column = Plant("emulated_car", "emulated_car", robot=Spec("emulated_car"))
 
     def digest(**changed):
         return Evolve((column,), replace(SETTINGS, **changed), seed=0).cell().digest
 
-    digests = [digest(noise=noise) for noise in ("", NOISE, "domain_randomisation(sensor=0.1)")] + [
-        digest(penalty="uncertainty(outside=1)")
-    ]
-    assert len(set(digests)) == 4
+    digests = [digest(noise=noise) for noise in ("", NOISE, "domain_randomisation(sensor=0.1)")]
+    assert len(set(digests)) == 3
     assert digest(noise="domain_randomisation(gain=0.2, latency=2, sensor=0.2)") == digests[1]
 
 

@@ -36,7 +36,6 @@ CHAMPION = Champion(
     seed_fitness=(0.1 + 0.2, 1 / 3),
     estimator_delay=0.0221,
     noise="domain_randomisation(latency=2)",
-    penalty="uncertainty(outside=3)",
 )
 
 
@@ -130,7 +129,7 @@ def test_a_champion_comes_back_bit_for_bit(tmp_path):
     save_champion(CHAMPION, tmp_path / "mm1-3")
     loaded = load_champion(tmp_path / "mm1-3")
     for name in (
-        "name", "against", "aggregate", "seed", "controller", "task", "estimator_delay", "noise", "penalty", "system",
+        "name", "against", "aggregate", "seed", "controller", "task", "estimator_delay", "noise", "system",
         "seed_fitness",
     ):  # fmt: skip
         assert getattr(loaded, name) == getattr(CHAMPION, name)
@@ -284,8 +283,8 @@ def test_a_model_is_no_champion_and_a_champion_no_model(stored, tmp_path):
             for key in ("name", "against", "aggregate", "task", "controller", "seed_fitness", "scoring_models")
         ),
         (
-            lambda learned: learned.update(caution=learned.pop("penalty")),
-            "KeyError: 'penalty'; 'caution' is called 'penalty' now; .* another version .* evolve again",
+            lambda learned: learned.update(judges=learned.pop("scoring_models")),
+            "KeyError: 'scoring_models'; 'judges' is called 'scoring_models' now; .* another version .* evolve again",
         ),
         (lambda learned: learned.update(against=None), "TypeError"),
     ],
