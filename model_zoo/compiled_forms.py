@@ -29,8 +29,7 @@ from model_zoo.tree_ensembles import Ensemble, ensemble_of
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import Precision, Predictor
 from sysid_evo.models.kernels import gaussian_predictor, neighbour_predictor, network_predictor, polynomial_predictor
-from sysid_evo.models.kernels.outputs import concatenated, scaled_outputs
-from sysid_evo.models.kernels.shells import SeenRow, of_functions
+from sysid_evo.models.kernels.shells import SeenRow, concatenated, of_functions, scaled_outputs
 from sysid_evo.models.kernels.trees import tree_predictor
 from sysid_evo.types import Array
 

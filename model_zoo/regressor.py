@@ -19,7 +19,7 @@ from sysid_evo import Adapter, Dataset, DynamicsModel, register_adapter, registe
 from sysid_evo.errors import InvalidArgument, ShapeError, UnknownName
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models.kernels import Predictor, with_angles
-from sysid_evo.models.kernels.outputs import scaled_outputs
+from sysid_evo.models.kernels.shells import scaled_outputs
 from sysid_evo.models.kernels.stepping import StepNoise
 from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.stochastic import StochasticModel

@@ -4,9 +4,8 @@ from sysid_evo.kernels import Predictor
 from sysid_evo.models.kernels.gaussian import gaussian_predictor
 from sysid_evo.models.kernels.neighbours import neighbour_predictor
 from sysid_evo.models.kernels.networks import command_network_predictor, network_predictor
-from sysid_evo.models.kernels.outputs import added
 from sysid_evo.models.kernels.polynomials import polynomial_predictor
-from sysid_evo.models.kernels.shells import on_top, turning_frame, with_angles, within
+from sysid_evo.models.kernels.shells import added, on_top, turning_frame, with_angles, within
 from sysid_evo.models.kernels.stepping import runge_kutta_predictor, stepping_kernel
 
 __all__ = [
