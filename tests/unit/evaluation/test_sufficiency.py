@@ -146,6 +146,9 @@ def test_a_choice_that_is_worse_than_rest_is_no_good_choice_and_the_first_senten
     assert (card.tone, card.command) == ("bad", "")
     assert card.sentence.startswith("a is worse than controls at rest (difference -2.00 ±")
     assert first_sentence(made, "Which controller to use?").startswith("a is worse than controls at rest")
+    claimed = on_each((10.0, 9.0, 10.0), (3.0, 8.0, 13.0), (6.0, 6.0, 12.0))
+    assert claimed.transfer.controller("a").exploited is False
+    assert headline(claimed, "Which controller").tone == "bad"
 
 
 def test_better_than_rest_in_all_of_ten_trials_is_better_even_if_the_mean_at_rest_is_uncertain():

@@ -80,13 +80,16 @@ def changed(bundle, place, content):
     return tuple((name, time, content if i == place else old) for i, (name, time, old) in enumerate(bundle))
 
 
-@pytest.mark.parametrize("damage", ["nothing", "no record", "record", "file", "missing file", "further file", "other"])
+@pytest.mark.parametrize(
+    "damage", ["nothing", "no record", "record", "failed", "file", "missing file", "further file", "other"]
+)
 def test_what_is_no_whole_result_of_the_cell_is_refused_and_nothing_is_written(tmp_path, done, damage):
     bundle = done.bundle(ONE.digest)
     damaged = {
         "nothing": (),
         "no record": bundle[1:],
         "record": changed(bundle, 0, b"{}"),
+        "failed": changed(bundle, 0, bundle[0][2].replace(b'"status": "done"', b'"status": "failed"')),
         "file": changed(bundle, 1, b"7"),
         "missing file": bundle[:1],
         "further file": (*bundle, ("results/more", 0, b"")),
