@@ -5,7 +5,7 @@ from .data.dataset import Dataset, Transitions
 from .data.trajectory import Trajectory, Windows
 from .engine.results import Rollouts
 from .engine.rollout import DynamicsRunner, Runner, rollout
-from .environments.registration import make_env, make_vector_env
+from .environments.environments import make_env, make_vector_env
 from .errors import SysidEvoError
 from .evolution.aggregates import make_aggregate
 from .evolution.champion import Champion, load_champion, save_champion

@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections import deque
 from math import floor
 
-from hardware.link.framing import FrameDecoder, encode
 from hardware.link.messages import (
     MAJOR,
     MINOR,
     TIME_TO_LIVE_UNIT,
     Buttons,
     CommandMessage,
+    FrameDecoder,
     Hello,
     HelloAcknowledgement,
     State,
     StatusMessage,
     Stop,
+    encode,
     unpack,
 )
 from sysid_evo.errors import IncompatibleRobot, InvalidArgument, LinkLost

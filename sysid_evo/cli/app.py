@@ -51,7 +51,7 @@ PANELS = {
         "evolve": Entry("Evolve a controller on one model or on an ensemble of models.", "controllers:evolve"),
         "exploit": Entry("Search the controller that exploits one model most.", "controllers:exploit"),
         "transfer": Entry("Run stored controllers on models and robots; report their fitness.", "controllers:transfer"),
-        "export": Entry("Write a controller as a Python or C file.", "export:export"),
+        "export": Entry("Write a controller as a Python or C file.", "controllers:export"),
     },
     "Robots": {
         "robots": Entry("List robot drivers; check whether a robot is ready.", {

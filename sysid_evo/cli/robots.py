@@ -21,7 +21,7 @@ import sysid_evo.data
 import sysid_evo.plan
 from sysid_evo.cli import options
 from sysid_evo.cli.console import ROBOT, err, out, print_line, print_status, table_of
-from sysid_evo.cli.export import SUFFIXES
+from sysid_evo.cli.controllers import SUFFIXES
 from sysid_evo.cli.options import argument, check_new_folder, load_plugins, names_of, number, option
 from sysid_evo.cli.progress import PlanProgress
 from sysid_evo.cli.recordings import episode_table, print_notes

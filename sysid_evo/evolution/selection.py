@@ -15,11 +15,11 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.controller_evolution import (
     ControllerEvolution,
+    EnsembleObjective,
     delayed_runner,
     disturbed_runners,
     selection_seeds,
 )
-from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.loop import Objective, Scores
 from sysid_evo.evolution.margins import EQUAL_SHARE, best_candidate, lasting_fitness, margins_of
 from sysid_evo.evolution.runs import FinishedRun, Runs, evolution_digest

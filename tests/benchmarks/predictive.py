@@ -31,9 +31,8 @@ from sysid_evo import (
 from sysid_evo.controllers import Controller, View
 from sysid_evo.controllers.pursuit import Pursuit
 from sysid_evo.engine import rollout
-from sysid_evo.engine.imagined import Engine, ImaginedTrials
 from sysid_evo.models import Dynamics
-from sysid_evo.predictive_control import Predictive
+from sysid_evo.predictive_control import Engine, ImaginedTrials, Predictive
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import Spec
 from sysid_evo.tasks import Task

@@ -24,7 +24,7 @@ from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.engine import DynamicsRunner, rollout
 from sysid_evo.evolution import evolve
-from sysid_evo.evolution.ensemble import EnsembleObjective
+from sysid_evo.evolution.controller_evolution import EnsembleObjective
 from sysid_evo.evolution.strategies.mu_plus_lambda import MuPlusLambda
 from sysid_evo.models import Disturbed, Dynamics
 from sysid_evo.models.base import make_model

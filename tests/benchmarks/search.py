@@ -22,8 +22,7 @@ from rich.table import Table
 
 from sysid_evo.engine import DynamicsRunner, behaviour_names
 from sysid_evo.evolution import ControllerEvolution
-from sysid_evo.evolution.controller_evolution import selection_seeds
-from sysid_evo.evolution.ensemble import EnsembleObjective
+from sysid_evo.evolution.controller_evolution import EnsembleObjective, selection_seeds
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_robot
 from sysid_evo.types import Array

@@ -20,7 +20,7 @@ from model_zoo.car.parametrised import Parametrised
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import DynamicsRunner, rollout
 from sysid_evo.evolution import evolve
-from sysid_evo.evolution.ensemble import EnsembleObjective
+from sysid_evo.evolution.controller_evolution import EnsembleObjective
 from sysid_evo.evolution.strategies.mu_plus_lambda import MuPlusLambda
 from sysid_evo.models import Dynamics
 from sysid_evo.randomness import trial_seeds

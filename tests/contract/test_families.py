@@ -9,11 +9,11 @@ import pytest
 
 import model_zoo
 from sysid_evo import make_task
-from sysid_evo.engine.imagined import ImaginedTrials
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.extras import extra_of
 from sysid_evo.models.base import make_model
 from sysid_evo.motion import PlanarBody
+from sysid_evo.predictive_control import ImaginedTrials
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import models
 from sysid_evo.system import Channel, System

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from hardware.connection import Measurement
-from hardware.link.framing import FrameDecoder, encode
-from hardware.link.messages import HelloAcknowledgement, State, unpack
+from hardware.link.messages import FrameDecoder, HelloAcknowledgement, State, encode, unpack
 from hardware.link.port import SerialPort
 from hardware.link.serial_robot import SerialRobot
 from hardware.robot import Robot

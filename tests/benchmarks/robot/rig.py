@@ -11,8 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hardware.connection import Closeable
-from hardware.link.framing import FrameDecoder
-from hardware.link.messages import Message, unpack
+from hardware.link.messages import FrameDecoder, Message, unpack
 from hardware.recording.journal import SUFFIX
 from tests.system.rig.faults import Fault
 from tests.system.rig.journal import Entry, RigLogReader, read_journal

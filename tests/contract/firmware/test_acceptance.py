@@ -7,16 +7,17 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from hardware.link.framing import FrameDecoder, encode
 from hardware.link.messages import (
     EXCLUSIVE,
     Buttons,
     CommandMessage,
+    FrameDecoder,
     Hello,
     HelloAcknowledgement,
     State,
     StatusMessage,
     Stop,
+    encode,
     unpack,
 )
 from tests.fixtures.acceptance_in_python import Acceptance

@@ -9,8 +9,18 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hardware.link.framing import FrameDecoder, checksum, encode
-from hardware.link.messages import Buttons, CommandMessage, Hello, HelloAcknowledgement, StatusMessage, Stop, unpack
+from hardware.link.messages import (
+    Buttons,
+    CommandMessage,
+    FrameDecoder,
+    Hello,
+    HelloAcknowledgement,
+    StatusMessage,
+    Stop,
+    checksum,
+    encode,
+    unpack,
+)
 from sysid_evo.errors import InvalidArgument
 from tests.benchmarks.link.__main__ import RATES, damage
 from tests.fixtures.golden_frames import CONVERSATION, ROBOT

@@ -2,8 +2,7 @@
 
 import pytest
 
-from hardware.link.framing import FrameDecoder, encode
-from hardware.link.messages import Buttons, CommandMessage, HelloAcknowledgement, State, unpack
+from hardware.link.messages import Buttons, CommandMessage, FrameDecoder, HelloAcknowledgement, State, encode, unpack
 from hardware.link.session import SILENCE, HostSession
 from sysid_evo.errors import IncompatibleRobot, InvalidArgument, LinkLost
 from tests.system.rig.core import FirmwareCore

@@ -10,12 +10,11 @@ from sysid_evo import make_model, make_task, register_reward
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine import DynamicsRunner, rollout
-from sysid_evo.engine.imagined import ImaginedTrials
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.evolution import ControllerEvolution, evolve_controller
 from sysid_evo.kernels import DynamicsKernel, ScalarStep
 from sysid_evo.models import Disturbed, DomainRandomisation, OutsideCounter
-from sysid_evo.predictive_control import Predictive
+from sysid_evo.predictive_control import ImaginedTrials, Predictive
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_robot, models, tasks
 from sysid_evo.tasks import PointToPoint

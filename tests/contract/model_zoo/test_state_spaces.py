@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from model_zoo.state_space import estimation
-from model_zoo.state_space.estimation import EstimationProblem, StateObserver, observer, radius, stabilised
+from model_zoo.state_space.estimation import EstimationProblem, StateObserver, flowing, observer, radius, stabilised
 from model_zoo.state_space.nonlinear_state_space import mean_weights, networks, with_whole_orders
 from model_zoo.state_space.recordings import ScaledEpisode, Scales, ShootingWindows
 from model_zoo.state_space.shooting import DIVERGED_DISTANCE, StateSpaceBatch, train
-from model_zoo.state_space.subspace import flowing
 from model_zoo.state_space.units import GATE, SHARP, SHARP_INPUT, UNITS
 from sysid_evo.data import Dataset
 from sysid_evo.models.base import make_model

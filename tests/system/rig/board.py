@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-from hardware.link.framing import FrameDecoder, encode
-from hardware.link.messages import HelloAcknowledgement, unpack
+from hardware.link.messages import FrameDecoder, HelloAcknowledgement, encode, unpack
 from tests.system.rig.core import FirmwareCore
 from tests.system.rig.faults import FaultSchedule
 from tests.system.rig.journal import RigLogWriter

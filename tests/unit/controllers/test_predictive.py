@@ -8,10 +8,9 @@ import pytest
 from sysid_evo import DynamicsRunner, make_controller, make_model
 from sysid_evo.controllers import View
 from sysid_evo.engine import rollout
-from sysid_evo.engine.imagined import ImaginedTrials
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.models import Dynamics, save_model
-from sysid_evo.predictive_control import Predictive
+from sysid_evo.predictive_control import ImaginedTrials, Predictive
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint

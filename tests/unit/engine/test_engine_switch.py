@@ -9,10 +9,11 @@ import pytest
 
 from evaluation.cells.data import HoldOut, RecordedData
 from model_zoo.grey_box import estimation
+from sysid_evo import predictive_control
 from sysid_evo.artefacts import CheckpointFile
 from sysid_evo.cli.console import code_of
 from sysid_evo.controllers.linear import LinearFeedback
-from sysid_evo.engine import DynamicsRunner, imagined, reference, rollout
+from sysid_evo.engine import DynamicsRunner, reference, rollout
 from sysid_evo.errors import CheckpointWarning, InvalidArgument
 from sysid_evo.evolution import ControllerEvolution, ModelEvolution, evolve_controller, model_evolution
 from sysid_evo.models.base import make_model
@@ -58,7 +59,7 @@ def rolled_out(**engine):
 
 def imagined_trials(**engine):
     nothing = np.zeros((1, 0, CAR.nu))
-    imagination = imagined.ImaginedTrials(ExampleDynamics(CAR), TASK, **engine)
+    imagination = predictive_control.ImaginedTrials(ExampleDynamics(CAR), TASK, **engine)
     imagination.scores(np.zeros((1, 1, CAR.nx)), nothing, np.zeros((2, 1, 3, CAR.nu)), TASK.begin(SEEDS))
 
 
@@ -72,7 +73,7 @@ def grey_box_fitted():
 
 FORMS = {
     rolled_out: ((ROLLOUT, "LoopData"), (reference, "run")),
-    imagined_trials: ((imagined, "CompiledImagined"), (imagined.ImaginedTrials, "_run")),
+    imagined_trials: ((predictive_control, "CompiledImagined"), (predictive_control.ImaginedTrials, "_run")),
     parameters_evolved: ((model_evolution, "final_errors"), (model_evolution, "final_error")),
     grey_box_fitted: ((estimation, "free_runs"), (estimation.FitWindows, "_stepped")),
 }

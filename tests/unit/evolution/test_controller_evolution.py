@@ -11,8 +11,7 @@ from evaluation.experiment import Experiment
 from sysid_evo.engine import DynamicsRunner, Rollouts, rollout
 from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError, UnknownName
 from sysid_evo.evolution import ControllerEvolution, evolve_controller, polish
-from sysid_evo.evolution.controller_evolution import disturbed_runners
-from sysid_evo.evolution.ensemble import EnsembleObjective
+from sysid_evo.evolution.controller_evolution import EnsembleObjective, disturbed_runners
 from sysid_evo.models import Disturbed
 from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds

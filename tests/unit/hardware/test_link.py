@@ -8,8 +8,7 @@ from cobs import cobs
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hardware.link.framing import ENCODED_MAX, FrameDecoder, checksum, encode
-from hardware.link.messages import EXCLUSIVE, MESSAGES, Buttons, unpack
+from hardware.link.messages import ENCODED_MAX, EXCLUSIVE, MESSAGES, Buttons, FrameDecoder, checksum, encode, unpack
 from hardware.link.serial_robot import buttons_of, control_of_buttons
 from hardware.toy_car import CAR
 from sysid_evo.errors import InvalidArgument, ShapeError
