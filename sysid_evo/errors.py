@@ -105,47 +105,9 @@ class CheckpointWarning(UserWarning):
     """A checkpoint was ignored, because it is damaged or belongs to other work, or could not be written."""
 
 
-RENAMED: Mapping[str, tuple[str, ...]] = {
-    "base": ("exact_channels",),
-    "by_hand": ("baselines",),
-    "end": ("abort_error",),
-    "envelope": ("domain_randomisation",),
-    "gate": ("cutoff",),
-    "held_back": ("held_out",),
-    "history": ("past_samples",),
-    "judges": ("scoring_models",),
-    "least": ("lowest",),
-    "most_steps": ("max_steps",),
-    "neural_ode_history": ("neural_ode(lag_search=all)",),
-    "offered_lags": ("lag_options",),
-    "only": ("stop_after",),
-    "polish": ("polish_generations",),
-    "recipe": ("procedure",),
-    "reference": ("compare_with",),
-    "runs": ("repeats",),
-    "spread": ("start_spread", "initial_std"),
-    "spread_groups": ("calibration_folds",),
-    "still": ("rate_tolerance",),
-    "trial": ("screening_iterations",),
-    "turning": ("steering",),
-    "weights": ("error_units",),
-    "yardstick": ("reference",),
-}
-"""Old names of settings, parameters, registered things and stored keys, with the names or specs in place of them."""
-
-
-def renamed(name: str, known: Iterable[str]) -> str:
-    """Return the name in ``known``, or the spec of one, that has replaced the old ``name``, else ""."""
-    names = set(known)
-    return next((new for new in RENAMED.get(name, ()) if new.partition("(")[0] in names), "")
-
-
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return a hint for a ``name`` that is not ``known``: its new name if it was renamed, else the closest, else ""."""
-    names = list(known)
-    if new := renamed(name, names):
-        return f" It is called {new!r} now."
-    close = closest(name, names)
+    """Return a hint for a ``name`` that is not ``known``: the closest one, "" if none is similar."""
+    close = closest(name, known)
     return f" Did you mean {close!r}?" if close else ""
 
 

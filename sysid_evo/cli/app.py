@@ -15,7 +15,7 @@ from typer.main import get_command, get_group
 
 from sysid_evo import errors
 from sysid_evo.cli.console import EXIT_CODES, as_option, code_of, err, out, print_error, print_status, session
-from sysid_evo.errors import InvalidArgument, Meaningless, SysidEvoError, did_you_mean, printable, renamed
+from sysid_evo.errors import InvalidArgument, Meaningless, SysidEvoError, did_you_mean, printable
 from sysid_evo.processors import INNER_THREADS
 from sysid_evo.version import __version__
 
@@ -121,7 +121,7 @@ def _without_types(params: Sequence[Any]) -> None:
 
 
 class CheckedCommand(TyperCommand):
-    """Refuses options that have no effect next to others, and names the new option for an old one: `REFUSED`."""
+    """Refuses options that have no effect next to others: `REFUSED`."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the parameters; the panel Run is the last one of a help page, and --help the last of its options."""
@@ -134,14 +134,7 @@ class CheckedCommand(TyperCommand):
         """Read the command line; the error for a misplaced word names the option before it."""
         words = list(args)
         ctx.allow_extra_args = True
-        try:
-            rest: list[str] = super().parse_args(ctx, args)
-        except Exception as error:  # Typer has its own copy of Click's errors
-            old = getattr(error, "option_name", "")
-            known = [name.removeprefix("--").replace("-", "_") for one in self.params for name in one.opts]
-            if new := renamed(old.removeprefix("--").replace("-", "_"), known):
-                raise InvalidArgument(f"{old} is called {as_option(new)} now") from None
-            raise
+        rest: list[str] = super().parse_args(ctx, args)
         if ctx.args and not ctx.resilient_parsing:
             raise InvalidArgument(misplaced(ctx.args[0], words, self.params))
         return rest

@@ -12,7 +12,7 @@ import numpy as np
 from sysid_evo.artefacts import read_artefact, stored_file, write_artefact
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.display import Displayed, listed
-from sysid_evo.errors import ArtefactError, IncompatibleSystem, InvalidArgument, ShapeError, renamed
+from sysid_evo.errors import ArtefactError, IncompatibleSystem, InvalidArgument, ShapeError
 from sysid_evo.registry.grammar import Spec, spec_of
 from sysid_evo.system import System
 from sysid_evo.tasks.task import make_task
@@ -183,8 +183,6 @@ def load_champion(path: str | Path) -> Champion:
         found = {**manifest.learned, "system": manifest.system}
         return Champion.from_dict(found, tensors)
     except (KeyError, TypeError, ValueError, ShapeError, InvalidArgument) as error:
-        older = ""
-        if isinstance(error, KeyError):
-            older = "".join(f"; {key!r} is called {error} now" for key in manifest.learned if renamed(key, error.args))
-            older += "; it was written by another version of this library: evolve again"
+        missing = isinstance(error, KeyError)
+        older = "; it was written by another version of this library: evolve again" if missing else ""
         raise ArtefactError(f"{path}: not a stored controller: {type(error).__name__}: {error}{older}") from error

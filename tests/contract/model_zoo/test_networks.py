@@ -24,7 +24,7 @@ from model_zoo.networks.training import (
 from model_zoo.scaling import Mirror
 from sysid_evo.carry import CarryLayout
 from sysid_evo.data import Dataset
-from sysid_evo.errors import ArtefactError, InvalidData
+from sysid_evo.errors import InvalidData
 from sysid_evo.models import load_model, save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.models.dynamics import rk4
@@ -221,13 +221,6 @@ def test_a_state_that_never_changes_stays_as_it_is():
 
 def test_the_lags_of_a_neural_ode_are_chosen_if_all_are_searched(car_data):
     assert make_model("neural_ode(lag_search=all)", **HARDLY).fit(car_data, rng=3).lags in ((0, 2), (0, 3), (1, 3))
-
-
-def test_a_model_stored_under_the_old_name_of_a_family_is_refused_with_the_new_one(car_data, tmp_path):
-    manifest = save_model(make_model("linear").fit(car_data, rng=3), tmp_path / "old").with_suffix(".json")
-    manifest.write_text(manifest.read_text().replace('"linear"', '"neural_ode_history"'))
-    with pytest.raises(ArtefactError, match=r"It is called 'neural_ode\(lag_search=all\)' now\."):
-        load_model(manifest)
 
 
 def test_the_rotation_of_the_frame_alone_keeps_the_speed(car):

@@ -174,13 +174,6 @@ def test_an_unknown_name_is_answered_with_the_nearest_known_one():
         Registry("thing", GROUP).get("x")
 
 
-def test_an_old_name_of_a_thing_or_a_parameter_is_answered_with_the_new_one():
-    with pytest.raises(UnknownName, match=r"no noise is called 'envelope'\. It is called 'domain_randomisation' now"):
-        KINDS["noise"].get("envelope")
-    with pytest.raises(InvalidArgument, match=r"'narx' has no parameter 'most_steps'\. It is called 'max_steps' now"):
-        models.check("narx(most_steps=9)")
-
-
 def test_a_plugin_file_registers_what_it_holds_once(write):
     path = write(PLUGIN.format(name="crawler"))
     load_plugin(path)

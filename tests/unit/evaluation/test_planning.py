@@ -208,12 +208,7 @@ def test_a_task_that_does_not_fit_the_system_is_found_by_the_plan():
         plan_comparison(Experiment.of({**SHORT, "models": ("linear",)}), dataset=swings([200]))
 
 
-def test_an_unknown_setting_is_refused_with_the_closest_one_or_its_new_name():
-    with pytest.raises(InvalidArgument) as refused:
-        Experiment.of({"by_hand": "", "runs": 2})
-    by_hand, runs = str(refused.value).split("; ")
-    assert by_hand == "by_hand is no setting of an experiment. It is called 'baselines' now"
-    assert runs == "runs is no setting of an experiment. It is called 'repeats' now"
+def test_an_unknown_setting_is_refused_with_the_closest_one():
     with pytest.raises(
         InvalidArgument, match=r"genrations is no setting of an experiment\. Did you mean 'generations'\?"
     ):

@@ -282,10 +282,6 @@ def test_a_model_is_no_champion_and_a_champion_no_model(stored, tmp_path):
             (lambda learned, key=key: learned.pop(key), f"KeyError: '{key}'; .* another version .* evolve again")
             for key in ("name", "against", "aggregate", "task", "controller", "seed_fitness", "scoring_models")
         ),
-        (
-            lambda learned: learned.update(judges=learned.pop("scoring_models")),
-            "KeyError: 'scoring_models'; 'judges' is called 'scoring_models' now; .* another version .* evolve again",
-        ),
         (lambda learned: learned.update(against=None), "TypeError"),
     ],
 )

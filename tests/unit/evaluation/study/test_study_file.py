@@ -54,8 +54,6 @@ def test_several_grids_are_united_and_what_both_hold_is_one_point():
     "settings, said",
     [
         ({"grids": GRID}, "grids is no part of a study. Did you mean 'grid'?"),
-        ({"reference": {"seed": "0"}}, "reference is no part of a study. It is called 'compare_with' now."),
-        ({"grid": {"recipe": ["plain"]}}, "grid.recipe: is no setting of an experiment. It is called 'procedure' now"),
         ({"grid": {}}, "at least one axis"),
         ({"grid": {"sede": [0]}}, "grid.sede: is no setting of an experiment. Did you mean 'seed'?"),
         ({"grid": {"seed": []}}, "grid.seed: expected at least one value"),
