@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import random
-import time
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,15 +14,13 @@ from sysid_evo.cli import options
 from sysid_evo.cli.console import note, out, print_line, table_of
 from sysid_evo.cli.options import argument, load_plugins, names_of, number, option
 from sysid_evo.cli.progress import PlanProgress
-from sysid_evo.errors import IncompatibleSystem, IncompatibleTask, InvalidArgument
+from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry.registry import models
 
 
 def show_model(
     name: Annotated[str, argument("Model family, or file of a fitted model", "NAME", values=names_of("model"))],
     plugin: options.Plugins = None,
-    speed: Annotated[bool, option("Measure the speed of a fitted model; compiling may take half a minute", "",
-        "--speed")] = False,
     as_json: options.Json = False,
 ) -> None:  # fmt: skip
     """Show a model family, or a fitted model.
@@ -33,9 +29,7 @@ def show_model(
     """
     load_plugins(plugin)
     stored = name not in models.names() and sysid_evo.is_stored_artefact(name, "model")
-    if speed and not stored:
-        raise InvalidArgument(f"--speed: expected the file of a fitted model, got the family {name!r}")
-    card = model_card(Path(name), measured=speed) if stored else family_card(name)
+    card = model_card(Path(name)) if stored else family_card(name)
     if as_json:
         out.print_json(data=card)
         return
@@ -49,8 +43,6 @@ COMMON = (
     "Common parameters: stochastic adds calibrated noise; state_lags and control_lags are the numbers of "
     "earlier samples among the inputs (None: chosen in the fit); max_steps limits the steps used in a fit."
 )
-SPEED_ROLLOUTS = 640
-SPEED_STEPS = 100
 
 
 def family_card(name: str) -> dict[str, Any]:
@@ -75,11 +67,8 @@ def family_card(name: str) -> dict[str, Any]:
     }
 
 
-def model_card(path: Path, *, measured: bool = False) -> dict[str, Any]:
-    """Return the card of a stored model: family, size, lags, training and, if ``measured``, its speed.
-
-    Measuring the speed compiles the model and all its members.
-    """
+def model_card(path: Path) -> dict[str, Any]:
+    """Return the card of a stored model: family, size, lags, training."""
     manifest, tensors = sysid_evo.read_artefact(path, "model")
     model = sysid_evo.load_model(path)
     state_lags, control_lags = model.lags
@@ -94,27 +83,8 @@ def model_card(path: Path, *, measured: bool = False) -> dict[str, Any]:
         **({"note": model.fit_note} if model.fit_note else {}),
         "versions": manifest.versions, "equations": model.equations(), "candidates": model.candidate_ranking(),
         **({"parameters": rows} if (rows := model.parameters_table()) else {}),
-        "timings": {**manifest.timings, **(speed(model) if measured else {})},
-        **({} if measured else {"speed": "not measured; use --speed"}),
+        "timings": manifest.timings,
     }  # fmt: skip
-
-
-def speed(model: sysid_evo.DynamicsModel) -> dict[str, Any]:
-    """Return million steps per second under random controllers, and the engine that ran them."""
-    task, controller = sysid_evo.PointToPoint(horizon=SPEED_STEPS), sysid_evo.RecurrentNetwork()
-    try:
-        bound = task.bind(model.system)
-    except (IncompatibleTask, IncompatibleSystem):
-        return {}
-    n = controller.bind_to(bound).n_parameters
-    drawn = random.Random(0)
-    candidates: Any = [[drawn.gauss() for _ in range(n)] for _ in range(SPEED_ROLLOUTS // 10)]
-    seeds = sysid_evo.trial_seeds(0, 10)
-    sysid_evo.rollout(model, controller, candidates, task, seeds, threads=1)
-    began = time.perf_counter()
-    run = sysid_evo.rollout(model, controller, candidates, task, seeds, threads=1)
-    rate = SPEED_ROLLOUTS * SPEED_STEPS / (time.perf_counter() - began) / 1e6
-    return {"million_steps_per_second": float(f"{rate:.3g}"), "engine": run.engine}
 
 
 def card_table(card: dict[str, Any]) -> list[Any]:
