@@ -21,7 +21,7 @@ from sysid_evo.models.adaptation.correction import CorrectionTerms
 from sysid_evo.models.adaptation.selection import NEW_FIT, NONE, REFIT, LearnedCorrection, adaptation
 from sysid_evo.models.base import DynamicsModel, make_model
 from sysid_evo.models.kernels.correction import action_kernel, correction_kernel
-from sysid_evo.models.learned import Declared
+from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.stochastic import StochasticModel
 from sysid_evo.models.storage import load_model
 from sysid_evo.progress import Progress
@@ -106,7 +106,7 @@ class Adapted(DynamicsModel):
             setattr(self, f"{name}_", array)
         self.coefficients_ = learned.coefficients
         action = learned.action or ActionCorrection.none(self.system_)
-        self.gain_, self.offset_ = action.gain, action.offset
+        self.gain_, self.offset_, self.delay_ = action.gain, action.offset, np.array([action.delay])
 
     def learned_arrays(self) -> Mapping[str, Declared]:
         if differences := self.system.differences(self.base_.system):
@@ -116,6 +116,7 @@ class Adapted(DynamicsModel):
             "coefficients_": self.terms.shape,
             "gain_": (self.system.nu,),
             "offset_": (self.system.nu,),
+            "delay_": Numbers(1, least=0.0, most=1.0),
         }
 
     def _widen(self) -> None:
@@ -143,7 +144,7 @@ class Adapted(DynamicsModel):
     @functools.cached_property
     def action(self) -> ActionCorrection:
         """The correction of the action."""
-        return ActionCorrection(self.gain_, self.offset_)
+        return ActionCorrection(self.gain_, self.offset_, float(self.delay_[0]))
 
     def without_noise(self) -> Self:
         quiet = self.base_.without_noise()
@@ -159,15 +160,21 @@ class Adapted(DynamicsModel):
 
     @property
     def lags(self) -> tuple[int, int]:
-        return self.base_.lags if hasattr(self, "base_") else (0, 0)
+        states, controls = self.base_.lags if hasattr(self, "base_") else (0, 0)
+        return states, controls + self.memory
 
     @property
     def n_lags(self) -> int:
-        return self.base_.n_lags if hasattr(self, "base_") else 0
+        return self.base_.n_lags + self.memory if hasattr(self, "base_") else 0
 
     @property
     def n_carry(self) -> int:
-        return self.base_.n_carry
+        return self.base_.n_carry + self.memory * self.system.nu
+
+    @property
+    def memory(self) -> int:
+        """Number of earlier controls at the end of the carry: 1 if the correction of the action has a delay."""
+        return self.action.memory if hasattr(self, "delay_") else 0
 
     @property
     def n_noise(self) -> int:
@@ -182,12 +189,15 @@ class Adapted(DynamicsModel):
         return self.base_.n_recent if hasattr(self, "base_") else 0
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
-        return self.base_.start(states, self.action(controls), draws)
+        carry = self.base_.start(*self.action.history(states, controls), draws)
+        return self.action.joined(carry, controls)
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        control = self.action(control)
-        after = self.base_.step(carry, control, noise)
-        return self.terms.next_carry(carry, control, after, self.coefficients_) if self.corrects else after
+        inner, applied = self.action.split(carry, control)
+        after = self.base_.step(inner, applied, noise)
+        if self.corrects:
+            after = self.terms.next_carry(inner, applied, after, self.coefficients_)
+        return self.action.joined(after, control[:, None])
 
     def kernel(self) -> DynamicsKernel | None:
         return self._corrected_kernel
@@ -197,14 +207,17 @@ class Adapted(DynamicsModel):
         kernel = self.base_.kernel()
         if kernel is not None and self.corrects:
             kernel = correction_kernel(kernel, self.system, self.terms.arrays, self.coefficients_)
-        return action_kernel(kernel, self.gain_, self.offset_) if kernel and self.action.changes else kernel
+        if kernel is None or not self.action.changes:
+            return kernel
+        return action_kernel(kernel, self.gain_, self.offset_, self.action.delay, self.base_.n_carry)
 
     def equations(self) -> list[str]:
         """Return the equations of the base, if it has some, and the correction of each acceleration or control."""
         of_base = self.base_.equations()
         if self.action.changes:
             numbers = zip(self.system.control_names, self.gain_, self.offset_, strict=True)
-            of_base = [*of_base, *(f"{name} -> {gain:.3g} {name} {offset:+.3g}" for name, gain, offset in numbers)]
+            late = f", {self.action.delay:.2f} samples later" if self.action.delay else ""
+            of_base += [f"{name} -> {gain:.3g} {name} {offset:+.3g}{late}" for name, gain, offset in numbers]
         if not self.corrects:
             return of_base
         names = ["1", *self.terms.names]
@@ -226,7 +239,7 @@ class CorrectedSteps:
 
     @property
     def n_lags(self) -> int:
-        return self.base.n_lags
+        return self.base.n_lags + self.action.memory
 
     @property
     def system(self) -> System:
@@ -237,12 +250,13 @@ class CorrectedSteps:
         return self.base.state_bounds
 
     def initial_carry(self, states: Array, controls: Array) -> Array:
-        return self.base.initial_carry(states, self.action(controls))
+        return self.action.joined(self.base.initial_carry(*self.action.history(states, controls)), controls)
 
     def disturbed(self, carry: Array, control: Array, disturbance: Array) -> Array:
-        control = self.action(control)
-        after = self.base.disturbed(carry, control, disturbance)
-        return self.terms.next_carry(carry, control, after, self.coefficients)
+        inner, applied = self.action.split(carry, control)
+        after = self.base.disturbed(inner, applied, disturbance)
+        after = self.terms.next_carry(inner, applied, after, self.coefficients)
+        return self.action.joined(after, control[:, None])
 
 
 def calibrated_elsewhere(

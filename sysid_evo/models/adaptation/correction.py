@@ -224,7 +224,8 @@ ROWS = 2**14
 class AdaptationWindows:
     """B windows of H steps for simulation and comparison with the recording.
 
-    ``carry`` (B, n_carry) at the start, after ``past_states`` (B, L + 1, nx) and ``past_controls`` (B, L, nu),
+    ``carry`` (B, n_carry) at the start, after ``past_states`` (B, L + 1, nx) and the last L of ``past_controls``
+    (B, L + 1, nu), the first of which repeats where the recording begins,
     ``controls`` (B, H, nu), ``truth`` (B, H, nx), ``first`` (B,) the start sample, counted over all episodes; ``scale``
     (nx,) is the standard deviation of the states, ``state_bounds`` (2, nx) those of the model.
     """
@@ -253,13 +254,16 @@ class AdaptationWindows:
                 f"to simulate; the longest has {max(len(episode) for episode in dataset)}"
             )
         begins = np.cumsum([0, *(len(episode) for episode in dataset)])[:-1]
-        past = windows.past_states, windows.past_controls
-        carry = model.start(*past, np.zeros((len(windows), model.n_draws)))
+        past_states, past = windows.past_states, windows.past_controls
+        carry = model.start(past_states, past, np.zeros((len(windows), model.n_draws)))
+        before = np.maximum(windows.start - lags - 1, 0)
+        earlier = [dataset.episodes[e].controls[k] for e, k in zip(windows.episode, before, strict=True)]
+        past = np.concatenate([np.stack(earlier)[:, None], past], axis=1)
         states = np.concatenate([e.states[rows] for e, rows in zip(dataset, dataset.moving, strict=True)])
         states = states if len(states) else np.concatenate([episode.states for episode in dataset])
         scale = state_scale(system, states)
         first = windows.start + begins[windows.episode]
-        return cls(system, *past, carry, windows.controls, windows.states, first, scale, model.state_bounds)
+        return cls(system, past_states, past, carry, windows.controls, windows.states, first, scale, model.state_bounds)
 
     def __len__(self) -> int:
         return len(self.first)

@@ -32,8 +32,8 @@ from sysid_evo.types import Array
 from sysid_evo.validation.acceptance import AND, AcceptanceResult, HeldOutErrors, Kind, acceptance_result, failed
 from sysid_evo.validation.folds import Block, blocks_of
 
-ACTION, BOTH = "action", "action + gains"
-KINDS = (ACTION, "linear", "gains", BOTH, "products")
+ACTION, DELAYED, BOTH = "action", "delayed action", "action + gains"
+KINDS = (ACTION, DELAYED, "linear", "gains", BOTH, "products")
 """Kinds of corrections, the simplest first: of the action, of the acceleration with these regressors, or of both."""
 RIDGES = (3.0, 0.3, 0.03, 0.003)
 """The strongest first, which gives the smallest correction."""
@@ -128,11 +128,11 @@ def adaptation(
 ) -> Adaptation:
     """Return the adaptation of ``model`` to ``dataset``; with its ``training`` data, a refit to both is tried as well.
 
-    Corrections of the action; of the acceleration, linear in (1, state, control), then with gains; of both; and of the
-    acceleration with products, each with several ridges, are fitted to two of three blocks of time and simulated on the
-    third. Further candidates are fine-tuning, if the family has it; a fit to ``dataset`` alone, unless the family fits
-    other families; and the mean of each of these and the best correction, unless the model draws noise. If a candidate
-    and its mean are much worse in one block, its remaining blocks are skipped.
+    Corrections of the action, without and with a delay; of the acceleration, linear in (1, state, control), then with
+    gains; of both; and of the acceleration with products, each with several ridges, are fitted to two of three blocks
+    of time and simulated on the third. Further candidates are fine-tuning, if the family has it; a fit to ``dataset``
+    alone, unless the family fits other families; and the mean of each of these and the best correction, unless the
+    model draws noise. If a candidate and its mean are much worse in one block, its remaining blocks are skipped.
 
     The best candidate that passes the test (`decided`) is fitted again to all of ``dataset``; without one the model is
     not changed. Nothing is tried if the held-out error of the model is known and its error here is similar. Raises
@@ -249,13 +249,13 @@ def _corrections(
 ) -> Iterator[LearnedCorrection]:
     """Yield the correction of this ``kind`` for each of ``ridges``, with regressors scaled to ``dataset``."""
     found = _uncorrected(model, dataset)
-    if kind in (ACTION, BOTH):
-        own_ridges = ridges if kind == ACTION else ACTION_RIDGES
-        for action in action_corrections(model, found.terms, windows, own_ridges, seconds):
+    if kind in (ACTION, DELAYED, BOTH):
+        own_ridges, delayed = ACTION_RIDGES if kind == BOTH else ridges, kind == DELAYED
+        for action in action_corrections(model, found.terms, windows, own_ridges, seconds, delayed=delayed):
             found = replace(found, action=action)
-            if kind == ACTION:
+            if kind != BOTH:
                 yield found
-    if kind == ACTION:
+    if kind in (ACTION, DELAYED):
         return
     if found.action is not None:
         dataset, windows = found.action.recorded(dataset), found.action.applied(model, windows)
@@ -324,7 +324,7 @@ def _errors(learned: LearnedCorrection, windows: AdaptationWindows) -> HeldOutEr
 
 
 def _ridges(kind: str) -> tuple[float, ...]:
-    return ACTION_RIDGES if kind == ACTION else RIDGES
+    return ACTION_RIDGES if kind in (ACTION, DELAYED) else RIDGES
 
 
 def _name(kind: str, ridge: float) -> str:

@@ -176,21 +176,29 @@ def write_terms(carry, control, nx, nu, inputs, products, states, ranges, terms)
                 place += 1
 
 
-ACTION = Layout("nu", "own", align=CACHE_LINE)
+ACTION = Layout("nu", "own", "delay", "before_at", align=CACHE_LINE)
 
 
-def action_kernel(inner: DynamicsKernel, gain: Array, offset: Array) -> DynamicsKernel:
-    """Return the kernel of ``inner`` under the control gain * u + offset, both (nu,)."""
+def action_kernel(inner: DynamicsKernel, gain: Array, offset: Array, delay: float, n_carry: int) -> DynamicsKernel:
+    """Return the kernel of ``inner`` under a corrected control, see `ActionCorrection`; ``n_carry`` is that of inner.
+
+    With a delay, the control before is the end of the carry.
+    """
     check_shape("offset", offset, gain.shape)
-    parameters = ACTION.pack(gain, offset, nu=len(gain), own=inner.parameters)
+    parameters = ACTION.pack(gain, offset, nu=len(gain), own=inner.parameters, delay=delay, before_at=n_carry)
     source = KernelSource(under_corrected_action, {"inner": inner.source})
     return DynamicsKernel(source, parameters, len(gain) + inner.n_scratch, inner.precision)
 
 
 def under_corrected_action(carry, control, noise, parameters, scratch):
     """Correct the control and step the inner dynamics."""
-    nu = int(parameters[ACTION.nu])
+    nu, delay = int(parameters[ACTION.nu]), parameters[ACTION.delay]
     numbers, own = view(parameters, ACTION.size), view(parameters, int(parameters[ACTION.own]))
+    before = view(carry, int(parameters[ACTION.before_at]) * LANES)
     for row in range(nu):
-        store(scratch, row * LANES, splat(numbers[row]) * load(control, row * LANES) + splat(numbers[nu + row]))
+        acting = load(control, row * LANES)
+        if delay > 0.0:
+            acting = acting + splat(delay) * (load(before, row * LANES) - acting)
+            store(before, row * LANES, load(control, row * LANES))
+        store(scratch, row * LANES, splat(numbers[row]) * acting + splat(numbers[nu + row]))
     inner(carry, scratch, noise, own, view(scratch, nu * LANES))

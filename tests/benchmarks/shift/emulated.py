@@ -53,8 +53,12 @@ def cars() -> dict[str, Condition]:
             thrust_backward=nominal.thrust_backward / heavier,
         ),
     }
-    found = {name: Condition(HeldControl(ToyCarDynamics(one), REPEATS)) for name, one in conditions.items()}
-    return found | {"late": replace(found["nominal"], late=1)}
+    return with_delay({name: Condition(HeldControl(ToyCarDynamics(one), REPEATS)) for name, one in conditions.items()})
+
+
+def with_delay(conditions: dict[str, Condition]) -> dict[str, Condition]:
+    """Return ``conditions`` and the nominal one with commands that take effect one sample later."""
+    return conditions | {"late": replace(conditions["nominal"], late=1)}
 
 
 def heaters() -> dict[str, Condition]:
@@ -67,7 +71,8 @@ def heaters() -> dict[str, Condition]:
         "larger block": replace(nominal, block=1.6 * nominal.block),
         "another heater": nominal.perturbed(1),
     }
-    return {name: Condition(HeldControl(ThermalPhysics(one), THERMAL_REPEATS)) for name, one in conditions.items()}
+    found = {name: Condition(HeldControl(ThermalPhysics(one), THERMAL_REPEATS)) for name, one in conditions.items()}
+    return with_delay(found)
 
 
 def pendulums() -> dict[str, Condition]:
@@ -80,7 +85,8 @@ def pendulums() -> dict[str, Condition]:
         "slow motor": replace(nominal, motor_lag=4.0 * nominal.motor_lag),
         "another pendulum": nominal.perturbed(1),
     }
-    return {name: Condition(HeldControl(PendulumPhysics(one), PENDULUM_REPEATS)) for name, one in conditions.items()}
+    found = {name: Condition(HeldControl(PendulumPhysics(one), PENDULUM_REPEATS)) for name, one in conditions.items()}
+    return with_delay(found)
 
 
 def cart_poles() -> dict[str, Condition]:
@@ -93,7 +99,8 @@ def cart_poles() -> dict[str, Condition]:
         "dirty rail": replace(nominal, rail_friction=2.0 * nominal.rail_friction),
         "another cart-pole": nominal.perturbed(1),
     }
-    return {name: Condition(HeldControl(CartPolePhysics(one), CART_POLE_REPEATS)) for name, one in conditions.items()}
+    found = {name: Condition(HeldControl(CartPolePhysics(one), CART_POLE_REPEATS)) for name, one in conditions.items()}
+    return with_delay(found)
 
 
 def recorded(condition: Condition, *, episodes: int, seed: int) -> Dataset:

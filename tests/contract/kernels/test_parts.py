@@ -140,16 +140,19 @@ def test_a_correction_corrects_as_its_terms_do(system, rng):
     assert not np.allclose(compiled, after, atol=1e-2)
 
 
-def test_a_correction_of_the_action_steps_under_the_corrected_control(rng):
+@pytest.mark.parametrize("delay", [0.0, 0.4])
+def test_a_correction_of_the_action_steps_under_the_corrected_control(delay, rng):
     system = example_systems()[2]
     model = ExampleDynamics(system)
-    before, control = rng.normal(size=(70, system.nx)), rng.uniform(-1.0, 1.0, (70, system.nu))
+    before, (control, earlier) = rng.normal(size=(70, system.nx)), rng.uniform(-1.0, 1.0, (2, 70, system.nu))
     gain, offset = rng.normal(size=system.nu), rng.normal(size=system.nu)
-    kernel = action_kernel(model.kernel(), gain, offset)
-    expected = model.step(before, gain * control + offset)
-    compiled = kernel_step(kernel, before, control, precision="float32")
-    np.testing.assert_allclose(compiled, expected, rtol=1e-4, atol=1e-4)
-    assert not np.allclose(compiled, model.step(before, control), atol=1e-2)
+    kernel = action_kernel(model.kernel(), gain, offset, delay, system.nx)
+    expected = model.step(before, gain * ((1.0 - delay) * control + delay * earlier) + offset)
+    carry = np.concatenate([before, earlier], axis=1)
+    compiled = kernel_step(kernel, carry, control, precision="float32")
+    np.testing.assert_allclose(compiled[:, : system.nx], expected, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(compiled[:, system.nx :], control if delay else earlier, rtol=1e-6)
+    assert not np.allclose(compiled[:, : system.nx], model.step(before, control), atol=1e-2)
 
 
 LIMITED = replace(CART, states=(Channel("position", "m", -1.5, 1.5), CART.states[1]))

@@ -104,20 +104,46 @@ def test_ten_seconds_are_enough_to_correct_the_action(base, weaker, tmp_path):
     assert any(line.startswith("drive -> 0.") for line in weaker.equations())
 
 
-def test_a_model_with_a_corrected_action_steps_equally_in_both_engines(base, weaker):
+def late(data):
+    """The same motion, but every command was sent one sample before it acted."""
+    return data.with_episodes([replace(e, states=e.states[:-1], controls=e.controls[1:]) for e in data])
+
+
+@pytest.fixture(scope="module")
+def delayed(base):
+    """A model adapted to ten seconds of the same car, whose commands act one sample later."""
+    with only("action", "delayed action", "gains"):
+        return base.adapt(late(drive(FloorCar(), seconds=10.0, seed=3, noise=0.0)), rng=0)
+
+
+def test_ten_seconds_are_enough_to_correct_a_delay(base, delayed, tmp_path):
+    assert delayed.chosen_.startswith("delayed action, ridge")
+    assert delayed.delay_[0] > 0.7
+    test = late(drive(FloorCar(), seconds=40.0, seed=4))
+    assert delayed.score(test) > 0.8 * base.score(test)
+    loaded = load_model(save_model(delayed, tmp_path / "late"))
+    assert loaded.score(test) == delayed.score(test)
+    assert any(line.startswith("drive -> ") and "samples later" in line for line in delayed.equations())
+
+
+def test_a_model_with_a_corrected_action_steps_equally_in_both_engines(base, weaker, delayed):
     data = commanded(drive(FloorCar(), seconds=5.0, seed=6))
     terms = CorrectionTerms.of(weaker.action.recorded(data), model=base)
     coefficients = 0.1 * np.random.default_rng(0).normal(size=terms.shape)
-    both = weaker.holding(LearnedCorrection(base, terms, coefficients, action=weaker.action))
-    run, lags = data.episodes[0], base.n_lags
-    carry = both.start(run.states[None, : lags + 1], run.controls[None, :lags])
-    control = run.controls[lags : lags + 1]
-    for model in (weaker, both):
-        found = kernel_step(model.kernel(), carry, control, precision="float64")
-        np.testing.assert_allclose(found, model.step(carry, control), atol=1e-9)
-    acted = weaker.action(control)
-    expected = terms.next_carry(carry, acted, base.step(carry, acted), coefficients)
-    np.testing.assert_array_equal(both.step(carry, control), expected)
+    run, rng = data.episodes[0], np.random.default_rng(1)
+    for one in (weaker, delayed):
+        both = weaker.holding(LearnedCorrection(base, terms, coefficients, action=one.action))
+        lags = both.n_lags
+        carry = both.start(run.states[None, : lags + 1], run.controls[None, :lags])
+        control = rng.uniform(-1.0, 1.0, (1, 2))
+        for model in (one, both):
+            assert carry.shape == (1, model.n_carry)
+            found = kernel_step(model.kernel(), carry, control, precision="float64")
+            np.testing.assert_allclose(found, model.step(carry, control), atol=1e-9)
+        acted = one.action(np.stack([run.controls[lags - 1], control[0]]))[1:]
+        inner = carry[:, : base.n_carry]
+        expected = terms.next_carry(inner, acted, base.step(inner, acted), coefficients)
+        np.testing.assert_allclose(both.step(carry, control)[:, : base.n_carry], expected, rtol=1e-12)
 
 
 def test_action_and_acceleration_are_corrected_together(base):
@@ -377,15 +403,21 @@ def test_a_correction_is_part_of_the_step(steady, parts):
     assert shifted.residual_ == pytest.approx(np.full(3, pushed), rel=0.1)
 
 
-def test_a_correction_of_the_action_is_part_of_the_step(steady, parts):
-    action = ActionCorrection(np.array([0.6, 0.7]), np.zeros(2))
+@pytest.mark.parametrize(
+    ("action", "done"),
+    [
+        (ActionCorrection(np.array([0.6, 0.7]), np.zeros(2)), commanded),
+        (ActionCorrection(np.ones(2), np.zeros(2), 1.0), late),
+    ],
+)
+def test_a_correction_of_the_action_is_part_of_the_step(steady, parts, action, done):
     plain = [uncorrected(steady, held) for held in parts]
-    acted = [replace(one, held=commanded(one.held), action=action) for one in plain]
+    acted = [replace(one, held=done(one.held), action=action) for one in plain]
     expected, found, wrong = (
         calibrated_elsewhere(steady, cases, np.random.default_rng(0)).residual_
         for cases in (plain, acted, [replace(one, action=None) for one in acted])
     )
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    np.testing.assert_allclose(found, expected, rtol=1e-9 if action.delay == 0.0 else 0.02)
     assert (wrong > 1.05 * expected).any()
 
 

@@ -138,6 +138,23 @@ def test_simulations_find_gain_and_offset_of_the_controls():
     np.testing.assert_allclose(found.offset, OFFSET, atol=2e-3)
 
 
+def commanded_earlier(data):
+    """The same motion, but every command was sent one sample before the car got it."""
+    (episode,) = data
+    return data.with_episodes([replace(episode, states=episode.states[:-1], controls=episode.controls[1:])])
+
+
+def test_simulations_find_the_delay_of_the_controls():
+    data = commanded_otherwise(commanded_earlier(drive(FloorCar(), seconds=10.0, seed=1, noise=0.0)))
+    windows, terms = AdaptationWindows.of(FloorCar(), data), CorrectionTerms.of(data)
+    ridges = [1e-2, 1e-4, 1e-6]
+    found = list(action_corrections(FloorCar(), terms, windows, ridges, 10.0, delayed=True))[-1]
+    assert found.delay == pytest.approx(1.0, abs=2e-3)
+    np.testing.assert_allclose(found.gain, GAIN, atol=2e-3)
+    np.testing.assert_allclose(found.offset, OFFSET, atol=2e-3)
+    assert not any(one.delay for one in action_corrections(FloorCar(), terms, windows, ridges, 10.0))
+
+
 def test_a_strong_ridge_or_none_leaves_little_of_a_correction_of_the_action():
     data = commanded_otherwise(drive(FloorCar(), seconds=10.0, seed=1, noise=0.0))
     windows, terms = AdaptationWindows.of(FloorCar(), data), CorrectionTerms.of(data)
@@ -147,19 +164,28 @@ def test_a_strong_ridge_or_none_leaves_little_of_a_correction_of_the_action():
     assert not ActionCorrection.none(data.system).changes
 
 
-def test_a_correction_of_the_action_applies_to_the_history_as_well():
+@pytest.mark.parametrize("delay", [0.0, 0.3])
+def test_a_correction_of_the_action_applies_to_the_history_as_well(delay):
     data = commanded_otherwise(drive(FloorCar(), seconds=10.0, seed=1, noise=0.0))
     base = make_model("narx", degree=1, state_lags=1, control_lags=2).fit(
         drive(FloorCar(), seconds=20.0, seed=2), rng=0
     )
     nothing = CorrectionTerms.of(data)
-    action = ActionCorrection(GAIN, OFFSET)
+    action = ActionCorrection(GAIN, OFFSET, delay)
     learned = LearnedCorrection(base, nothing, np.zeros(nothing.shape), action=action)
     adapted = make_model("adapted", base=None).holding(learned)
-    windows = data.windows(20, stride=50, history=base.n_lags)
-    found = adapted.simulate(windows.past_states, windows.past_controls, windows.controls)
-    expected = base.simulate(windows.past_states, action(windows.past_controls), action(windows.controls))
+    assert adapted.n_lags == base.n_lags + (delay > 0.0)
+    windows = data.windows(20, stride=50, history=3)
+    history = windows.past_states[:, 3 - adapted.n_lags :], windows.past_controls[:, 3 - adapted.n_lags :]
+    found = adapted.simulate(*history, windows.controls)
+    commands = np.concatenate([windows.past_controls, windows.controls], axis=1)
+    acting = (1.0 - delay) * commands[:, 1:] + delay * commands[:, :-1]
+    past, controls = np.split(GAIN * acting + OFFSET, [2], axis=1)
+    expected = base.simulate(windows.past_states[:, 1:], past, controls)
     np.testing.assert_allclose(found, expected, atol=1e-6)
-    moved = action.applied(base, AdaptationWindows.of(base, data))
-    np.testing.assert_array_equal(moved.controls, action(AdaptationWindows.of(base, data).controls))
-    np.testing.assert_allclose(moved.carry, base.start(moved.past_states, action(moved.past_controls)))
+    plain = AdaptationWindows.of(base, data)
+    moved = action.applied(base, plain)
+    commands = np.concatenate([plain.past_controls, plain.controls], axis=1)
+    acting = GAIN * ((1.0 - delay) * commands[:, 1:] + delay * commands[:, :-1]) + OFFSET
+    np.testing.assert_allclose(moved.controls, acting[:, 2:])
+    np.testing.assert_allclose(moved.carry, base.start(plain.past_states, acting[:, :2]))
