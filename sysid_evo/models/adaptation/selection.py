@@ -33,7 +33,7 @@ from sysid_evo.validation.acceptance import AND, AcceptanceResult, HeldOutErrors
 from sysid_evo.validation.folds import Block, blocks_of
 
 ACTION, DELAYED, BOTH = "action", "delayed action", "action + gains"
-KINDS = (ACTION, DELAYED, "linear", "gains", BOTH, "products")
+KINDS = (ACTION, "linear", "gains", BOTH, DELAYED, "products")
 """Kinds of corrections, the simplest first: of the action, of the acceleration with these regressors, or of both."""
 RIDGES = (3.0, 0.3, 0.03, 0.003)
 """The strongest first, which gives the smallest correction."""
@@ -128,8 +128,8 @@ def adaptation(
 ) -> Adaptation:
     """Return the adaptation of ``model`` to ``dataset``; with its ``training`` data, a refit to both is tried as well.
 
-    Corrections of the action, without and with a delay; of the acceleration, linear in (1, state, control), then with
-    gains; of both; and of the acceleration with products, each with several ridges, are fitted to two of three blocks
+    Corrections of the action; of the acceleration, linear in (1, state, control), then with gains; of both; of the
+    action with a delay; and of the acceleration with products, each with several ridges, are fitted to two of three blocks
     of time and simulated on the third. Further candidates are fine-tuning, if the family has it; a fit to ``dataset``
     alone, unless the family fits other families; and the mean of each of these and the best correction, unless the
     model draws noise. If a candidate and its mean are much worse in one block, its remaining blocks are skipped.
