@@ -129,10 +129,11 @@ def adaptation(
     """Return the adaptation of ``model`` to ``dataset``; with its ``training`` data, a refit to both is tried as well.
 
     Corrections of the action; of the acceleration, linear in (1, state, control), then with gains; of both; of the
-    action with a delay; and of the acceleration with products, each with several ridges, are fitted to two of three blocks
-    of time and simulated on the third. Further candidates are fine-tuning, if the family has it; a fit to ``dataset``
-    alone, unless the family fits other families; and the mean of each of these and the best correction, unless the
-    model draws noise. If a candidate and its mean are much worse in one block, its remaining blocks are skipped.
+    action with a delay; and of the acceleration with products, each with several ridges, are fitted to two of three
+    blocks of time and simulated on the third. Further candidates are fine-tuning, if the family has it; a fit to
+    ``dataset`` alone, unless the family fits other families; and the mean of each of these and the best correction,
+    unless the model draws noise. If a candidate and its mean are much worse in one block, its remaining blocks are
+    skipped.
 
     The best candidate that passes the test (`decided`) is fitted again to all of ``dataset``; without one the model is
     not changed. Nothing is tried if the held-out error of the model is known and its error here is similar. Raises
