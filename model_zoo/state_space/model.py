@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -32,8 +32,7 @@ from sysid_evo.models.dynamics import rk4
 from sysid_evo.models.kernels.stepping import copy
 from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import Limit, at_least
-from sysid_evo.system import System
-from sysid_evo.types import Array, IntArray, check_shape
+from sysid_evo.types import Array
 
 SETTLING = 300
 """Steps after which a body without commands is at rest."""
@@ -144,17 +143,34 @@ class StateSpaceModel(DynamicsModel):
 
     @functools.cached_property
     def _observing_kernel(self) -> DynamicsKernel:
-        return state_space_kernel(
-            self.system,
-            self.outer_,
-            self.inner_,
-            self.kinds_,
-            output=self.output_,
-            offset=self.offset_,
-            gain=self.gain_,
+        system, blocks, at = self.system, list[Array](), 0
+        for outer, inner, kinds in zip(self.outer_, self.inner_, self.kinds_, strict=True):
+            n, count = len(outer), len(inner)
+            numbers = padded(np.concatenate([kinds, inner.ravel(), outer.ravel(), self.gain_[at : at + n].ravel()]))
+            blocks.append(MEMBER.pack(numbers, n=n, units=count, next=MEMBER.size + len(numbers)))
+            at += n
+        parts = [
+            padded(np.concatenate([self.offset_, self.output_.ravel()])),
+            padded(np.ravel(system.limits) if system.limited else np.empty(0)),
+        ]
+        places = np.cumsum([HEAD.size, *(len(part) for part in parts)])
+        parameters = HEAD.pack(
+            *parts,
+            *blocks,
+            ny=system.nx,
+            nu=system.nu,
+            n=at,
+            members=len(self.outer_),
             far=DIVERGED_DISTANCE,
-            flow=self.flows,
+            limited=system.limited,
+            output=places[0],
+            limits=places[1],
+            own=places[2],
         )
+        room = system.nx + at + max((len(one) for one in self.inner_), default=0)
+        if self.flows:
+            return DynamicsKernel(KernelSource(flow_step), parameters, room + system.nx + 2 * at)
+        return DynamicsKernel(KernelSource(step), parameters, room)
 
     def _corrected(self, hidden: Array, control: Array, correction: Array) -> Array:
         """Return the next hidden states (B, n) after adding the ``correction`` (B, n)."""
@@ -199,55 +215,6 @@ MEMBER = Layout("n", "units", "next", align=CACHE_LINE)
 
 UNBOUNDED = 1e30
 """Larger than any rate."""
-
-
-def state_space_kernel(
-    system: System,
-    outer: Sequence[Array],
-    inner: Sequence[Array],
-    kinds: Sequence[IntArray],
-    *,
-    output: Array,
-    offset: Array,
-    gain: Array,
-    far: float,
-    flow: bool,
-) -> DynamicsKernel:
-    """Return the kernel of a `StateSpaceModel`; with ``flow`` the weights give rates, see `flow_step`."""
-    blocks, at, ny, total = [], 0, system.nx, sum(len(one) for one in outer)
-    check_shape("offset", offset, (ny,))
-    check_shape("output", output, (ny, total))
-    check_shape("gain", gain, (total, ny))
-    for own_outer, own_inner, own_kinds in zip(outer, inner, kinds, strict=True):
-        n, count = len(own_outer), len(own_inner)
-        check_shape("outer", own_outer, (n, n + system.nu + 1 + count))
-        check_shape("inner", own_inner, (count, n + system.nu + 1))
-        check_shape("kinds", own_kinds, (count,))
-        numbers = padded(np.concatenate([own_kinds, own_inner.ravel(), own_outer.ravel(), gain[at : at + n].ravel()]))
-        blocks.append(MEMBER.pack(numbers, n=n, units=count, next=MEMBER.size + len(numbers)))
-        at += n
-    parts = [
-        padded(np.concatenate([offset, output.ravel()])),
-        padded(np.ravel(system.limits) if system.limited else np.empty(0)),
-    ]
-    places = np.cumsum([HEAD.size, *(len(part) for part in parts)])
-    parameters = HEAD.pack(
-        *parts,
-        *blocks,
-        ny=system.nx,
-        nu=system.nu,
-        n=at,
-        members=len(outer),
-        far=far,
-        limited=system.limited,
-        output=places[0],
-        limits=places[1],
-        own=places[2],
-    )
-    widest = max((len(one) for one in inner), default=0)
-    if flow:
-        return DynamicsKernel(KernelSource(flow_step), parameters, 2 * system.nx + 3 * at + widest)
-    return DynamicsKernel(KernelSource(step), parameters, system.nx + at + widest)
 
 
 def flow_step(carry, control, noise, parameters, scratch):

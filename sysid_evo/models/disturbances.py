@@ -207,14 +207,14 @@ class Disturbed(PlainDynamics):
 
     @cached_property
     def _compiled(self) -> DynamicsKernel | None:
-        inner = self.inner.kernel()
+        inner, bounds, (nx, nu) = self.inner.kernel(), self.state_bounds, (self.system.nx, self.system.nu)
         if inner is None:
             return None
-        return disturbed_kernel(
-            inner,
-            self.system,
-            free_controls=self.free_controls,
-            state_bounds=self.state_bounds,
+        parameters = HEAD.pack(
+            np.repeat([-np.inf, np.inf], nx) if bounds is None else np.ravel(bounds),
+            self.free_controls,
+            nx=nx,
+            nu=nu,
             latency=self.noise.latency,
             kept=self.kept,
             whole=self.whole,
@@ -223,8 +223,11 @@ class Disturbed(PlainDynamics):
             process_at=self.inner.n_noise if self.noise.process else -1,
             observed_at=self.observed_at if self.observes else -1,
             sensed_at=self.ends[5],
-            sensor_at=self.n_noise - self.system.nx if self.senses else -1,
+            sensor_at=self.n_noise - nx if self.senses else -1,
+            own=inner.parameters,
         )
+        source = KernelSource(disturbed, {"inner": inner.source})
+        return DynamicsKernel(source, parameters, nx + nu + inner.n_scratch, inner.precision)
 
     def _observed(self, states: Array) -> Array:
         """Return the delayed state (B, nx), without sensor errors, from ``states`` (B, any, nx), newest first."""
@@ -269,23 +272,9 @@ HEAD = Layout(
     "nx", "nu", "latency", "kept", "whole", "share", "moved_at", "process_at", "observed_at", "sensed_at", "sensor_at",
     "own", align=CACHE_LINE,
 )  # fmt: skip
-
-
-def disturbed_kernel(
-    inner: DynamicsKernel, system: System, *, free_controls: Array, state_bounds: Array | None, **head: float
-) -> DynamicsKernel:
-    """Return the kernel of ``inner`` with rows added to its carry; ``head`` are the numbers of `HEAD`.
-
-    Commands are delayed by at most ``latency`` samples where ``free_controls`` (nu,) is above 0. The observed state is
-    delayed by ``whole`` samples and a ``share`` of one, for which ``kept`` states are stored, and clipped to
-    ``state_bounds`` (2, nx). The other numbers are rows, -1 if absent: in the carry, the first ones of gains,
-    observations and sensor errors (``moved_at``, ``observed_at``, ``sensed_at``); in the noise, ``process_at`` and
-    ``sensor_at``.
-    """
-    limits = np.repeat([-np.inf, np.inf], system.nx) if state_bounds is None else np.ravel(state_bounds)
-    parameters = HEAD.pack(limits, free_controls, nx=system.nx, nu=system.nu, own=inner.parameters, **head)
-    room = system.nx + system.nu + inner.n_scratch
-    return DynamicsKernel(KernelSource(disturbed, {"inner": inner.source}), parameters, room, inner.precision)
+"""Rows are -1 if absent: in the carry, the first ones of gains, observations and sensor errors (``moved_at``,
+``observed_at``, ``sensed_at``); in the noise, ``process_at`` and ``sensor_at``. Bounds and free controls follow.
+"""
 
 
 def disturbed(carry, control, noise, parameters, scratch):

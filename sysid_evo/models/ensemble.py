@@ -30,8 +30,7 @@ from sysid_evo.models.dynamics import Dynamics
 from sysid_evo.models.kernels.stepping import copy
 from sysid_evo.models.learned import Declared
 from sysid_evo.models.stochastic import StochasticModel
-from sysid_evo.system import System
-from sysid_evo.types import Array, check_shape
+from sysid_evo.types import Array
 
 
 class Members:
@@ -175,15 +174,15 @@ class MeanModel(StochasticModel):
     @cached_property
     def _compiled(self) -> DynamicsKernel | None:
         kernels = [model.kernel() for model in self.members_]
-        if self.stochastic or any(kernel is None for kernel in kernels):
+        members = [kernel for kernel in kernels if kernel is not None]
+        if self.stochastic or len(members) < len(kernels):
             return None
-        return mean_kernel(
-            [kernel for kernel in kernels if kernel is not None],
-            self.system,
-            places=[self.system.nx + place for place in self._together.places],
-            noise_places=self._together.noise_places,
-            weights=self.weights_,
-        )
+        nx, together = self.system.nx, self._together
+        places = [nx + place for place in together.places]
+        chain = chained(members, nx, places, together.noise_places)
+        parameters = MEAN.pack(self.weights_, places, nx=nx, count=len(members), chain=chain.parameters)
+        source = KernelSource(averaged, {"step_all": chain.source})
+        return DynamicsKernel(source, parameters, chain.n_scratch, chain.precision)
 
     def without_noise(self) -> Self:
         quiet = [model.without_noise() for model in self.members_]
@@ -202,25 +201,6 @@ class MeanModel(StochasticModel):
 
 
 MEAN = Layout("nx", "count", "chain", align=CACHE_LINE)
-
-
-def mean_kernel(
-    members: Sequence[DynamicsKernel],
-    system: System,
-    *,
-    places: Sequence[int],
-    noise_places: Sequence[int],
-    weights: Array,
-) -> DynamicsKernel:
-    """Return the kernel of a weighted mean of next states, which becomes the state of every member.
-
-    The carry is the state and the members' carries at ``places``.
-    """
-    chain = chained(members, system.nx, places, noise_places)
-    weights = check_shape("weights", weights, (len(members),))
-    parameters = MEAN.pack(weights, places, nx=system.nx, count=len(members), chain=chain.parameters)
-    source = KernelSource(averaged, {"step_all": chain.source})
-    return DynamicsKernel(source, parameters, chain.n_scratch, chain.precision)
 
 
 def averaged(carry, control, noise, parameters, scratch):
