@@ -1,4 +1,8 @@
-"""The task of a Gymnasium environment: its own reward, start and end, on any model of it."""
+"""The task of a Gymnasium environment: its own reward, start and end, on any model of it.
+
+Rewards and ends of the classic environments are kernel functions, by the rules that Gymnasium documents: ``before``,
+``control`` and ``after`` are rows of 64 trials, of which ``lane`` is one.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,6 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from hardware.simulators import gymnasium_rewards
 from hardware.simulators.gymnasium_robot import KNOWN
 from hardware.simulators.gymnasium_spaces import (
     ActionMap,
@@ -37,6 +40,135 @@ if TYPE_CHECKING:
     import gymnasium
 
 
+import math
+
+from sysid_evo.angles import TURN
+from sysid_evo.kernels import Layout, nearest, view
+from sysid_evo.motion_kernels import PER_TURN
+from sysid_evo.tasks.learned_reward import judge_lanes
+
+FASTEST_SWING = 8.0  # rad/s, beyond which the pendulum does not turn
+CART_REACH, POLE_REACH = 2.4, 24.0 * math.pi / 360.0  # m, rad
+CONTINUOUS_GOAL, GOAL = 0.45, 0.5
+
+
+def pendulum(before, control, after, lane):
+    """Minus the square of the angle from upright, and small shares of the squares of speed and torque."""
+    angle = before[lane] - TURN * nearest(before[lane] * PER_TURN)
+    speed = min(max(before[LANES + lane], -FASTEST_SWING), FASTEST_SWING)
+    return -(angle * angle + 0.1 * speed * speed + 0.001 * control[lane] * control[lane])
+
+
+def never(after, lane):
+    """The pendulum continues until its time is up."""
+    return 0.0
+
+
+def one_a_step(before, control, after, lane):
+    """The cart gets 1 for every step."""
+    return 1.0
+
+
+def fallen(after, lane):
+    """The cart has left its rail, or the pole leans by more than 12 degrees."""
+    return 1.0 if (abs(after[lane]) > CART_REACH) | (abs(after[2 * LANES + lane]) > POLE_REACH) else 0.0
+
+
+def continuous_hill(before, control, after, lane):
+    """100 at the goal, minus a tenth of the square of every force."""
+    return 100.0 * on_continuous_hill(after, lane) - 0.1 * control[lane] * control[lane]
+
+
+def on_continuous_hill(after, lane):
+    """The car has reached the goal and does not roll back."""
+    return 1.0 if (after[lane] >= CONTINUOUS_GOAL) & (after[LANES + lane] >= 0.0) else 0.0
+
+
+def hill(before, control, after, lane):
+    """Every step costs 1."""
+    return -1.0
+
+
+def on_hill(after, lane):
+    """The car has reached the goal and does not roll back."""
+    return 1.0 if (after[lane] >= GOAL) & (after[LANES + lane] >= 0.0) else 0.0
+
+
+def acrobot(before, control, after, lane):
+    """Every step costs 1, except the one that reaches the height."""
+    return raised(after, lane) - 1.0
+
+
+def raised(after, lane):
+    """The free end is above the line, one link over the hinge."""
+    height = -math.cos(after[lane]) - math.cos(after[lane] + after[LANES + lane])
+    return 1.0 if height > 1.0 else 0.0
+
+
+ROWS = Layout("fitness", "alive", "steps")
+HEAD = Layout("nx")
+STATE = Layout("periodic", "centre", "scale")
+
+
+def observe(task, state, observation, parameters):
+    """Bias, then each state in units of its scale; of a periodic one the sine and the cosine."""
+    for lane in range(LANES):
+        observation[lane] = 1.0
+    row = 1
+    for i in range(int(parameters[HEAD.nx])):
+        at = HEAD.size + i * STATE.size
+        centre, scale = parameters[at + STATE.centre], parameters[at + STATE.scale]
+        value, shown = view(state, i * LANES), view(observation, row * LANES)
+        if parameters[at + STATE.periodic] > 0.0:
+            for lane in range(LANES):
+                shown[lane] = math.sin(value[lane])
+                shown[LANES + lane] = math.cos(value[lane])
+            row += 2
+        else:
+            for lane in range(LANES):
+                shown[lane] = (value[lane] - centre) / scale
+            row += 1
+
+
+def advance_known(task, before, after, control, trials, trial_data, parameters):
+    """Add the reward of the step, and end the trial where the environment does."""
+    for lane in range(LANES):
+        task[ROWS.fitness * LANES + lane] += reward_of(before, control, after, lane)
+        task[ROWS.steps * LANES + lane] += 1.0
+        if is_over(after, lane) > 0.0:
+            task[ROWS.alive * LANES + lane] = 0.0
+
+
+LEARNED = Layout("least", "late", "limit")
+"""After the table of the states; the parameters of the learned reward follow.
+
+Those of the reward at the time limit begin at ``late``; ``limit`` is its step, 0 if it is paid as others are.
+"""
+
+
+def advance_learned(task, before, after, control, trials, trial_data, parameters):
+    """Add the learned reward of the step, and end the trial where an episode was learned to end."""
+    own = view(parameters, HEAD.size + int(parameters[HEAD.nx]) * STATE.size)
+    scratch = view(task, ROWS.size * LANES)
+    fitness, steps = view(task, ROWS.fitness * LANES), view(task, ROWS.steps * LANES)
+    least, late, limit = own[LEARNED.least], int(own[LEARNED.late]), own[LEARNED.limit]
+    judge_lanes(before, control, after, scratch, view(own, LEARNED.size))
+    at_limit = 0
+    for lane in range(LANES):
+        steps[lane] += 1.0
+        reward = scratch[lane] if scratch[lane] >= least else least
+        if steps[lane] == limit:
+            at_limit, reward = 1, 0.0
+        fitness[lane] += reward
+        if scratch[LANES + lane] > 0.0:
+            task[ROWS.alive * LANES + lane] = 0.0
+    if at_limit > 0:
+        judge_lanes(before, control, after, scratch, view(own, late))
+        for lane in range(LANES):
+            if steps[lane] == limit:
+                fitness[lane] += scratch[lane] if scratch[lane] >= least else least
+
+
 @dataclass(frozen=True)
 class KnownReward:
     """The reward of a step and the end of a trial, see `rewards`.
@@ -52,16 +184,14 @@ class KnownReward:
     most: float = np.inf
 
 
-LEAST_SWING = -(np.pi**2 + 0.1 * gymnasium_rewards.FASTEST_SWING**2 + 0.001 * 4.0)
+LEAST_SWING = -(np.pi**2 + 0.1 * FASTEST_SWING**2 + 0.001 * 4.0)
 RULES: Mapping[str, KnownReward] = {
-    "Pendulum-v1": KnownReward(gymnasium_rewards.pendulum, gymnasium_rewards.never, LEAST_SWING, 200),
-    "CartPole-v0": KnownReward(gymnasium_rewards.one, gymnasium_rewards.fallen, 0.0, 200, most=1.0),
-    "CartPole-v1": KnownReward(gymnasium_rewards.one, gymnasium_rewards.fallen, 0.0, 500, most=1.0),
-    "MountainCar-v0": KnownReward(gymnasium_rewards.hill, gymnasium_rewards.on_hill, -1.0, 200),
-    "MountainCarContinuous-v0": KnownReward(
-        gymnasium_rewards.continuous_hill, gymnasium_rewards.on_continuous_hill, -0.1, 999
-    ),
-    "Acrobot-v1": KnownReward(gymnasium_rewards.acrobot, gymnasium_rewards.raised, -1.0, 500),
+    "Pendulum-v1": KnownReward(pendulum, never, LEAST_SWING, 200),
+    "CartPole-v0": KnownReward(one_a_step, fallen, 0.0, 200, most=1.0),
+    "CartPole-v1": KnownReward(one_a_step, fallen, 0.0, 500, most=1.0),
+    "MountainCar-v0": KnownReward(hill, on_hill, -1.0, 200),
+    "MountainCarContinuous-v0": KnownReward(continuous_hill, on_continuous_hill, -0.1, 999),
+    "Acrobot-v1": KnownReward(acrobot, raised, -1.0, 500),
 }
 """Rewards of the classic environments."""
 
@@ -232,23 +362,23 @@ class EnvironmentTask(Task):
             self._check_known()
             return None
         states = [
-            gymnasium_rewards.STATE.pack(periodic=float(i in self.system.periods), centre=centre, scale=scale)
+            STATE.pack(periodic=float(i in self.system.periods), centre=centre, scale=scale)
             for i, (centre, scale) in enumerate(zip(self.system.neutral_state, self.scale, strict=True))
         ]
         if self.rules is not None:
             functions = {"reward_of": self.rules.reward, "is_over": self.rules.over}
-            advance, further = KernelSource(gymnasium_rewards.advance, functions), 0
-            parameters = gymnasium_rewards.HEAD.pack(np.concatenate(states), nx=self.system.nx)
+            advance, further = KernelSource(advance_known, functions), 0
+            parameters = HEAD.pack(np.concatenate(states), nx=self.system.nx)
         else:
             assert self.learned is not None
-            advance, further = KernelSource(gymnasium_rewards.advance_learned), scratch_rows(self.learned)
+            advance, further = KernelSource(advance_learned), scratch_rows(self.learned)
             late = self.learned.late
             tables = [one.parameters(self.system) for one in (self.learned, late) if one is not None]
-            at, limit = gymnasium_rewards.LEARNED.size + len(tables[0]), 0 if late is None else self.limit
-            own = gymnasium_rewards.LEARNED.pack(*tables, least=self.least, late=at, limit=limit)
-            parameters = gymnasium_rewards.HEAD.pack(np.concatenate(states), own, nx=self.system.nx)
+            at, limit = LEARNED.size + len(tables[0]), 0 if late is None else self.limit
+            own = LEARNED.pack(*tables, least=self.least, late=at, limit=limit)
+            parameters = HEAD.pack(np.concatenate(states), own, nx=self.system.nx)
         return TaskKernel(
-            observe=KernelSource(gymnasium_rewards.observe),
+            observe=KernelSource(observe),
             advance=advance,
             rows=lambda state: np.vstack(
                 [state.earned, state.alive, state.steps, np.zeros((further, len(state.alive)))]

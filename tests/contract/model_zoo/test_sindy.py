@@ -14,8 +14,7 @@ from model_zoo.polynomial.libraries import basis_of
 from model_zoo.polynomial.model import Regression, evaluate, growth, monomials
 from model_zoo.polynomial.narx import Narx
 from model_zoo.polynomial.optimizers import make_optimizer, run
-from model_zoo.polynomial.regression import Library
-from model_zoo.polynomial.sindy import MARGIN, Sindy, SindyDiscrete, continuation_limits, continued
+from model_zoo.polynomial.sindy import MARGIN, Library, Sindy, SindyDiscrete, continuation_limits, continued
 from model_zoo.scaling import root_mean_square
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument
