@@ -99,8 +99,9 @@ class Plant:
 
 
 def steps_in(task: Spec, columns: Iterable[Plant]) -> int:
-    """Return the steps of a trial for which time is planned: those of ``task`` if a robot among them was timed."""
-    return make_task(task).horizon if any(column.timed for column in columns) else STEPS
+    """Return the steps of a trial for which time is planned: if no robot among them was timed, at least `STEPS`."""
+    horizon = make_task(task).horizon
+    return horizon if any(column.timed for column in columns) else max(STEPS, horizon)
 
 
 def runners(columns: Iterable[Plant], work: CellContext) -> dict[str, Runner]:

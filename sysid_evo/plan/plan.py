@@ -41,7 +41,7 @@ class Plan:
             longest = max(expected, key=expected.__getitem__)
             raise InvalidArgument(
                 f"plan: {longest} would take about {expected[longest] / YEAR:.2g} years on one processor; the limit of "
-                f"a plan is {MAX_YEARS:g} years. Reduce generations, trials, repeats or minutes"
+                f"a plan is {MAX_YEARS:g} years. Reduce generations, trials, their steps, repeats or minutes"
             )
         return cls(tuple(placed.values()), tuple(remarks))
 

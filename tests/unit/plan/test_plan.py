@@ -31,7 +31,7 @@ def test_a_plan_of_ten_years_is_the_longest_and_a_longer_one_names_its_longest_c
         Plan.of([*few, lasting(0.1, "last")])
     assert str(refused.value) == (
         "plan: count most would take about 6.9 years on one processor; the limit of a plan is 10 years. Reduce "
-        "generations, trials, repeats or minutes"
+        "generations, trials, their steps, repeats or minutes"
     )
     with pytest.raises(InvalidArgument, match=r"count one would take about 3.2e\+12 years on one processor"):
         Plan.of([number(1), lasting(1e20 / YEAR, "one")])

@@ -66,5 +66,9 @@ def test_a_comparison_warns_before_any_work_for_recordings_and_for_an_emulated_r
         plan_comparison(Experiment(task=far, models=("linear",)), dataset=example_dataset()),
     ):
         assert any("Use a smaller arena" in remark for remark in plan.plan.remarks)
+    with pytest.raises(InvalidArgument, match=r"evolve linear would take about .* years on one processor"):
+        plan_comparison(
+            Experiment(task="point_to_point(horizon=100000000000000)", models=("linear",)), dataset=example_dataset()
+        )
     usual = plan_comparison(Experiment(robot="emulated_car", models=("linear",)))
     assert not any("point_to_point" in remark for remark in usual.plan.remarks)
