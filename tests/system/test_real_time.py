@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from hardware.connection import Connection
-from hardware.control_loop import ControlLoop, before_others
+from hardware.control_loop import AHEAD, ControlLoop, before_others
 from hardware.emulation.simulated_robot import RealTimeRobot, in_real_time
 from hardware.emulation.tracked_robots import TRACKER_DELAY
 from hardware.run_report import ROBOT, SIGNALS, StopReason, StopRequest
@@ -230,6 +230,24 @@ def test_a_loop_in_real_time_runs_before_others_where_that_is_allowed_and_one_in
     assert place() == usual
     if os.geteuid() == 0:
         assert best[0] == os.SCHED_RR
+
+
+def test_without_the_right_to_real_time_a_loop_has_a_lower_nice_value_and_without_that_runs_as_usual(monkeypatch):
+    schedule, usual = os.sched_setscheduler, os.getpriority(os.PRIO_PROCESS, 0)
+
+    def refuse(thread, policy, parameters):
+        if policy & ~os.SCHED_RESET_ON_FORK == os.SCHED_RR:
+            raise PermissionError
+        schedule(thread, policy, parameters)
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    if os.geteuid() == 0:
+        with before_others():
+            assert os.getpriority(os.PRIO_PROCESS, 0) == AHEAD < usual
+        assert os.getpriority(os.PRIO_PROCESS, 0) == usual
+    monkeypatch.setattr(os, "setpriority", lambda *_: refuse(0, os.SCHED_RR, None))
+    with before_others():
+        assert os.getpriority(os.PRIO_PROCESS, 0) == usual
 
 
 def test_the_page_on_hardware_lists_the_exit_code_of_every_reason():
