@@ -185,21 +185,29 @@ class CandidateSelection:
         """Try candidates in the first fold, as many as can be fitted in all folds and to all data for the budget.
 
         The time saved by candidates that are dropped (`_screened`) is spent on the next ones. A refinement waits until
-        its shorter version was tried. Returns the outcomes, the errors, and why a candidate is not tried in the other
-        folds; empty if it is.
+        its shorter version was tried, the last of which ends the first batch; that of one with the lowest error so far,
+        or with one not significantly higher, goes before all others. Returns the outcomes, the errors, and why a
+        candidate is not tried in the other folds; empty if it is.
         """
         size = self.dataset.system, self.dataset.n_steps, len(self.pairs)
         costs = {number: candidate.cost(*size) for number, candidate in enumerate(self.candidates)}
         errors: list[Errors | None] = [None for _ in costs]
         reasons = [BASE_BEHIND if number in self._refined else UNTRIED for number in costs]
         outcomes: dict[tuple[int, int], FitOutcome] = {}
-        batch = affordable({n: cost for n, cost in costs.items() if n not in self._refined}, self.budget) or [0]
+        plain = affordable({n: cost for n, cost in costs.items() if n not in self._refined}, self.budget) or [0]
+        end = max((plain.index(n) + 1 for n in self._refined.values() if n in plain), default=len(plain))
+        batch, waiting = plain[:end], plain[end:]
         while batch:
             outcomes |= self._fits(batch, [0])
             tried = [number for number, _ in sorted(outcomes)]
             found = self._screened([outcomes[number, 0] for number in tried], cutoff, class_cutoff)
             for number, error, reason in zip(tried, *found, strict=True):
                 errors[number], reasons[number] = error, reason
+            if waiting:
+                longer = [n for n in self._refined if self._leads(self._refined[n], errors)]
+                left = self.budget - sum(costs[n] for n in tried)
+                batch, waiting = affordable({n: costs[n] for n in (*longer, *waiting)}, left), []
+                continue
             spent = sum(self._task(n, 0).cost if reasons[n] else costs[n] for n in tried)
             ready = [n for n in costs if n not in tried and self._may_be_tried(n, errors)]
             ready.sort(key=lambda n: n not in self._refined)  # longer versions of good candidates first
@@ -220,6 +228,12 @@ class CandidateSelection:
             return True
         found = errors[self._refined[number]]
         return found is not None and found.mean <= REFINE_FACTOR * min(one.mean for one in errors if one is not None)
+
+    def _leads(self, number: int, errors: Sequence[Errors | None]) -> bool:
+        """Whether no error in the first fold is significantly lower than that of a candidate."""
+        known = [one for one in errors if one is not None and np.isfinite(one.mean)]
+        best, own = min(known, key=lambda one: one.mean, default=None), errors[number]
+        return own is not None and best is not None and not own.above(best).low > 0.0
 
     def _screened(
         self, outcomes: Sequence[FitOutcome], cutoff: float, class_cutoff: float
