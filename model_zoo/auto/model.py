@@ -45,9 +45,9 @@ class Auto(MeanModel):
     best candidate of each model class stays within ``class_cutoff`` times the lowest error, over all folds and in the
     geometric mean of the folds, since models of another structure fail elsewhere, unless the error of the mean is 5 %
     higher with them. A good state space is replaced by a version with longer training and a good Gaussian process by
-    the average of three, unless that is significantly worse; both are tried before other candidates. The candidates
-    that are kept are refitted to all data; state spaces are averaged with those fitted without each fold, except much
-    worse ones.
+    the average of three, unless that is significantly worse; that of a leading candidate is tried before the others.
+    The candidates that are kept are refitted to all data; state spaces are averaged with those fitted without each
+    fold, except much worse ones.
 
     The weight of a model class (networks with lags, networks without, polynomials, neighbours, physics, state spaces)
     is the square root of the number of its members, which share it equally. Every member starts each step from the mean

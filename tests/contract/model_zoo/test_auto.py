@@ -604,12 +604,18 @@ def test_a_refinement_is_tried_if_its_shorter_version_is_near_the_best_and_repla
         assert bool(reason) == bool(expected)
 
 
-def test_a_refinement_of_a_good_candidate_is_tried_before_what_is_left():
-    """A budget of 9 is enough for a and b; b falls behind, which leaves 4, for c or for d."""
-    specs = {"a": PLAIN, "b": BEHIND, "c": "linear(state_lags=2)", "d": NARX}
-    a, b, c, d = (Candidate(Spec.parse(f"{name}={text}"), 1.0, 0.0) for name, text in specs.items())
-    choice = choice_among([a, b, c, replace(d, successor_of=a.name)], budget=9.0)
-    assert [error is not None for error in choice.errors] == [True, True, False, True]
+@pytest.mark.parametrize(
+    ("shorter", "budget", "tried"), [("a", 9.0, "ad"), ("a", 12.0, "abd"), ("b", 9.0, "abd"), ("b", 12.0, "abc")]
+)
+def test_the_refinement_of_a_leading_candidate_is_tried_before_all_others_and_another_before_what_is_left(
+    shorter, budget, tried, monkeypatch
+):
+    """Each is expected to take 4; a leads; b falls behind in the first fold, so that it takes 1, but may be refined."""
+    monkeypatch.setattr("model_zoo.auto.selection.REFINE_FACTOR", 100.0)
+    specs = {"a": PLAIN, "b": BEHIND, "c": BY_CHANCE, "d": NARX}
+    *others, d = (Candidate(Spec.parse(f"{name}={text}"), 1.0, 0.0) for name, text in specs.items())
+    choice = choice_among([*others, replace(d, successor_of=others["ab".index(shorter)].name)], budget)
+    assert "".join(name for name, error in zip(specs, choice.errors, strict=True) if error) == tried
 
 
 @pytest.mark.parametrize(("cutoff", "folds"), [(3.0, [0, 1, 2]), (1.25, [0, 2])])
