@@ -185,9 +185,9 @@ class CandidateSelection:
         """Try candidates in the first fold, as many as can be fitted in all folds and to all data for the budget.
 
         The time saved by candidates that are dropped (`_screened`) is spent on the next ones. A refinement waits until
-        its shorter version was tried, the last of which ends the first batch; that of one with the lowest error so far,
-        or with one not significantly higher, goes before all others. Returns the outcomes, the errors, and why a
-        candidate is not tried in the other folds; empty if it is.
+        its shorter version was tried, the last of which ends the first batch. Those of leading candidates, with the
+        lowest error so far or one not significantly higher, then go first, with at most half of what is left. Returns
+        the outcomes, the errors, and why a candidate is not tried in the other folds; empty if it is.
         """
         size = self.dataset.system, self.dataset.n_steps, len(self.pairs)
         costs = {number: candidate.cost(*size) for number, candidate in enumerate(self.candidates)}
@@ -204,9 +204,11 @@ class CandidateSelection:
             for number, error, reason in zip(tried, *found, strict=True):
                 errors[number], reasons[number] = error, reason
             if waiting:
-                longer = [n for n in self._refined if self._leads(self._refined[n], errors)]
                 left = self.budget - sum(costs[n] for n in tried)
-                batch, waiting = affordable({n: costs[n] for n in (*longer, *waiting)}, left), []
+                leading = [n for n, shorter in self._refined.items() if self._leads(shorter, errors)]
+                longer = affordable({n: costs[n] for n in leading}, 0.5 * left)
+                left -= sum(costs[n] for n in longer)
+                batch, waiting = [*longer, *affordable({n: costs[n] for n in waiting}, left)], []
                 continue
             spent = sum(self._task(n, 0).cost if reasons[n] else costs[n] for n in tried)
             ready = [n for n in costs if n not in tried and self._may_be_tried(n, errors)]

@@ -605,16 +605,21 @@ def test_a_refinement_is_tried_if_its_shorter_version_is_near_the_best_and_repla
 
 
 @pytest.mark.parametrize(
-    ("shorter", "budget", "tried"), [("a", 9.0, "ad"), ("a", 12.0, "abd"), ("b", 9.0, "abd"), ("b", 12.0, "abc")]
+    ("shorter", "seconds", "budget", "tried"),
+    [("a", 1.0, 12.0, "abd"), ("a", 1.1, 12.0, "abc"), ("b", 1.0, 12.0, "abc"), ("b", 1.0, 9.0, "abd")],
 )
 def test_the_refinement_of_a_leading_candidate_is_tried_before_all_others_and_another_before_what_is_left(
-    shorter, budget, tried, monkeypatch
+    shorter, seconds, budget, tried, monkeypatch
 ):
-    """Each is expected to take 4; a leads; b falls behind in the first fold, so that it takes 1, but may be refined."""
+    """Each is expected to take 4; a leads; b falls behind in the first fold, so that it takes 1, but may be refined.
+
+    With a budget of 12, half of the 8 that a leaves are enough for d, unless it takes longer.
+    """
     monkeypatch.setattr("model_zoo.auto.selection.REFINE_FACTOR", 100.0)
     specs = {"a": PLAIN, "b": BEHIND, "c": BY_CHANCE, "d": NARX}
     *others, d = (Candidate(Spec.parse(f"{name}={text}"), 1.0, 0.0) for name, text in specs.items())
-    choice = choice_among([*others, replace(d, successor_of=others["ab".index(shorter)].name)], budget)
+    d = replace(d, seconds=seconds, successor_of=others["ab".index(shorter)].name)
+    choice = choice_among([*others, d], budget)
     assert "".join(name for name, error in zip(specs, choice.errors, strict=True) if error) == tried
 
 
