@@ -114,7 +114,7 @@ class Experiment(BaseModel):
         None, "Also evolve on the emulated robot itself, for the best known fitness", "Controllers", "yes|no"
     )
     noise: str | None = setting(
-        None, "Disturbances during evolution, such as domain_randomisation(latency=2), or none (those of the task)",
+        None, "Disturbances during evolution, such as domain_randomisation(sensor=0.1), or none (those of the task)",
         "Robustness", "SPEC", kind="noise",
     )  # fmt: skip
     estimator_delay: Seconds = setting(

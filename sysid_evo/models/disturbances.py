@@ -1,9 +1,8 @@
-"""Domain randomisation: noise, latency, gains and delayed estimates around any dynamics; its compiled form."""
+"""Domain randomisation: noise, gains and delayed estimates around any dynamics; its compiled form."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,12 +20,10 @@ from sysid_evo.kernels import (
     splat,
     store,
     view,
-    where_at_most,
 )
 from sysid_evo.models.dynamics import Dynamics, PlainDynamics, started
 from sysid_evo.models.kernels.stepping import copy
 from sysid_evo.registry.registry import noises
-from sysid_evo.system import System
 from sysid_evo.types import Array
 
 
@@ -35,15 +32,12 @@ from sysid_evo.types import Array
 class DomainRandomisation:
     """Disturbances that keep controllers from relying on a noise-free model; 0 disables each of them.
 
-    It follows Jakobi's radical noise (paper, section 2.1). Channels in ``exact_channels`` (states and controls)
-    are not disturbed; they are Jakobi's *base set*. For all others the amount of noise is drawn for every trial, from
+    It follows Jakobi's radical noise (paper, section 2.1): the amount of noise is drawn for every trial and state, from
     none to the values below, so that a controller can rely neither on the absence of noise nor on its presence.
 
     | parameter | meaning | unit |
     |---|---|---|
     | ``sensor`` | largest white noise of an observed state | standard deviations of the training states |
-    | ``bias`` | standard deviation over trials of a constant error of an observed state | the same |
-    | ``latency`` | largest delay of a command, drawn from 0 to this | samples of dt |
     | ``gain`` | the change of a state in a step is multiplied by exp(gain z) | 0.1: about 10 % |
     | ``process`` | largest white noise of a state in every step | standard deviations of the training states |
 
@@ -51,36 +45,14 @@ class DomainRandomisation:
     """
 
     sensor: float = 0.0
-    bias: float = 0.0
-    latency: int = 0
     gain: float = 0.0
     process: float = 0.0
-    exact_channels: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        given = self.exact_channels
-        object.__setattr__(self, "exact_channels", tuple(given) if isinstance(given, (list, tuple)) else (given,))
-        for name in ("sensor", "bias", "latency", "gain", "process"):
-            value, whole = getattr(self, name), name == "latency"
-            number = isinstance(value, int if whole else (int, float)) and not isinstance(value, bool)
-            if not number or not 0 <= value < np.inf:
-                raise InvalidArgument(
-                    f"noise: expected {name} to be {'a whole number' if whole else 'a number'} >= 0, got {value!r}"
-                )
-
-    def disturbed_channels(self, system: System) -> tuple[Array, Array]:
-        """Return 1.0 for each disturbed state (nx,) and control (nu,), 0.0 for exact ones.
-
-        Raises `InvalidArgument` if ``exact_channels`` names a channel that ``system`` does not have.
-        """
-        known = [channel.name for channel in (*system.states, *system.controls)]
-        unknown = [name for name in self.exact_channels if name not in known]
-        if unknown:
-            raise InvalidArgument(
-                f"noise: exact_channels: no channel {', '.join(map(repr, unknown))}; there are {', '.join(known)}"
-            )
-        free = np.array([0.0 if name in self.exact_channels else 1.0 for name in known])
-        return free[: system.nx], free[system.nx :]
+        for name in ("sensor", "gain", "process"):
+            value = getattr(self, name)
+            if not isinstance(value, (int, float)) or isinstance(value, bool) or not 0 <= value < np.inf:
+                raise InvalidArgument(f"noise: expected {name} to be a number >= 0, got {value!r}")
 
 
 WHOLE_TOLERANCE = 1e-9
@@ -93,21 +65,19 @@ class Disturbed(PlainDynamics):
     With delay / dt = m + f, m whole and 0 <= f < 1, w and z standard normal, a step from state x_k under command u_k
     is::
 
-        v = u_{k-d}                                     d = 0 to latency, the same for a trial
-        y = x_k + g (f(x_k, v) - x_k)                   g = exp(gain w)
+        y = x_k + g (f(x_k, u_k) - x_k)                 g = exp(gain w)
         x_{k+1} = y + p z                               p = process spread U,       U in [0, 1]
         o_{k+1} = (1 - f) x_{k+1-m} + f x_{k-m}         clipped to the state bounds
-        observed = o_{k+1} + b + s z                    b = bias spread w,          s = sensor spread U
+        observed = o_{k+1} + s z                        s = sensor spread U
 
-    g, p, b, s (nx,) and d are drawn at the start of a trial; ``spread`` (nx,) is `state_std` by default. Disabled
-    effects use no random numbers.
+    g, p and s (nx,) are drawn at the start of a trial; ``spread`` (nx,) is `state_std` by default. Disabled effects use
+    no random numbers.
 
     Controllers and tasks observe the last line. The state itself, the pose, walls and the state bounds are those of
     ``inner``: on a robot too the tracker measures the pose, and velocities are derived from it late and with noise. The
     first sample has no white noise.
 
-    The carry is that of ``inner``, then, if enabled: g, p, d, earlier commands; the observation, earlier states; b, s.
-    Commands and states are stored newest first.
+    The carry is that of ``inner``, then, if enabled: g, p; the observation, earlier states, newest first; s.
     """
 
     def __init__(
@@ -125,21 +95,19 @@ class Disturbed(PlainDynamics):
         self.inner, self.system, self.outside_at = inner, inner.system, inner.outside_at
         self.noise = noise = DomainRandomisation() if noise is None else noise
         nx, nu, samples = inner.system.nx, inner.system.nu, delay / inner.system.dt
-        self.free_states, self.free_controls = noise.disturbed_channels(inner.system)
         self.whole = math.floor(samples + WHOLE_TOLERANCE)
         self.share = max(0.0, samples - self.whole)
         self.kept = self.whole + (self.share > 0.0)
-        self.moves, self.senses = any((noise.latency, noise.gain, noise.process)), any((noise.sensor, noise.bias))
+        self.moves, self.senses = any((noise.gain, noise.process)), noise.sensor > 0.0
         self.observes = self.senses or delay > 0.0
         if spread is None and (self.senses or noise.process):
             spread = state_std(inner)
-        self.size = self.free_states * (1.0 if spread is None else spread)
-        sizes = [nx * self.moves, nx * self.moves, 1 * self.moves, nu * noise.latency]
-        sizes += [nx * self.observes, nx * self.kept, nx * self.senses, nx * self.senses]
+        self.size = np.ones(nx) if spread is None else spread
+        sizes = [nx * self.moves, nx * self.moves, nx * self.observes, nx * self.kept, nx * self.senses]
         self.ends = inner.n_carry + np.cumsum(sizes)
         self.n_carry = int(self.ends[-1])
-        self.observed_at = int(self.ends[3]) if self.observes else 0
-        self.n_lags = max(inner.n_lags, noise.latency, self.kept)
+        self.observed_at = int(self.ends[1]) if self.observes else 0
+        self.n_lags = max(inner.n_lags, self.kept)
         self.n_noise = inner.n_noise + (nx if noise.process else 0) + nx * self.senses
         self.n_draws = inner.n_draws + (3 * nx + nu + 2) * self.moves + 2 * nx * self.senses
 
@@ -150,46 +118,33 @@ class Disturbed(PlainDynamics):
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         from scipy.special import ndtr
 
-        noise, nx, nu, first = self.noise, self.system.nx, self.system.nu, self.inner.n_draws
+        noise, nx, first = self.noise, self.system.nx, self.inner.n_draws
         draws = np.zeros((len(states), self.n_draws)) if draws is None else draws
         tail: list[Array] = []
         if self.moves:
             # unused columns belong to removed kinds of noise, so that the others keep their random numbers
-            gain, _, process, _, delay, _ = np.split(
-                draws[:, first : first + 3 * nx + nu + 2], np.cumsum([nx, nx, nx, nu, 1]), axis=1
-            )
-            steady = self.free_states.copy()
+            gain, _, process = np.split(draws[:, first : first + 3 * nx], 3, axis=1)
+            steady = np.ones(nx)
             steady[list(self.system.periods)] = 0.0
             tail += [np.exp(noise.gain * steady * gain), noise.process * self.size * ndtr(process)]
-            tail += [np.minimum(np.floor(ndtr(delay) * (noise.latency + 1)), noise.latency)]
-            tail += [controls[:, -1 - back] for back in range(noise.latency)]
         if self.observes:
-            observed, errors = self._observed(states[:, ::-1]), []
-            if self.senses:
-                bias, sensor = np.split(draws[:, -2 * nx :], 2, axis=1)
-                errors = [noise.bias * self.size * bias, noise.sensor * self.size * ndtr(sensor)]
-                observed = observed + errors[0]
-            tail += [observed, *(states[:, -2 - back] for back in range(self.kept)), *errors]
+            tail += [self._observed(states[:, ::-1]), *(states[:, -2 - back] for back in range(self.kept))]
+        if self.senses:
+            tail.append(noise.sensor * self.size * ndtr(draws[:, -nx:]))
         return np.concatenate(
             [self.inner.start(*recent(states, controls, self.inner.n_lags), draws[:, :first]), *tail], axis=1
         )
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        nx, nu, at = self.system.nx, self.system.nu, self.inner.n_noise
+        nx, at = self.system.nx, self.inner.n_noise
         given = noise[:, :at] if noise is not None and at else None
         noise = np.zeros((len(carry), self.n_noise)) if noise is None else noise
-        own, gain, process, delay, commands, observed, states, bias, level = np.split(
-            carry, [self.inner.n_carry, *self.ends[:-1]], axis=1
-        )
-        acts, before = control, carry[:, :nx]
-        for back in range(1, self.noise.latency + 1):
-            late = (delay == back) & (self.free_controls > 0)
-            acts = np.where(late, commands[:, (back - 1) * nu : back * nu], acts)
-        inner = self.inner.step(own, acts, given)
+        own, gain, process, observed, states, level = np.split(carry, [self.inner.n_carry, *self.ends[:-1]], axis=1)
+        before = carry[:, :nx]
+        inner = self.inner.step(own, control, given)
         after = inner[:, :nx]
         if self.moves:
             after = before + gain * (after - before)
-            commands = np.concatenate([control, commands], axis=1)[:, : self.noise.latency * nu]
         if self.noise.process:
             after = after + process * noise[:, at : at + nx]
         if self.observes:
@@ -197,37 +152,32 @@ class Disturbed(PlainDynamics):
             history = np.concatenate([newest, before, states], axis=1).reshape(len(carry), -1, nx)
             observed, states = self._observed(history), history[:, 1 : 1 + self.kept].reshape(len(carry), -1)
         if self.senses:
-            observed = observed + bias + level * noise[:, -nx:]
-        return np.concatenate(
-            [after, inner[:, nx:], gain, process, delay, commands, observed, states, bias, level], axis=1
-        )
+            observed = observed + level * noise[:, -nx:]
+        return np.concatenate([after, inner[:, nx:], gain, process, observed, states, level], axis=1)
 
     def kernel(self) -> DynamicsKernel | None:
         return self._compiled
 
     @cached_property
     def _compiled(self) -> DynamicsKernel | None:
-        inner, bounds, (nx, nu) = self.inner.kernel(), self.state_bounds, (self.system.nx, self.system.nu)
+        inner, bounds, nx = self.inner.kernel(), self.state_bounds, self.system.nx
         if inner is None:
             return None
         parameters = HEAD.pack(
             np.repeat([-np.inf, np.inf], nx) if bounds is None else np.ravel(bounds),
-            self.free_controls,
             nx=nx,
-            nu=nu,
-            latency=self.noise.latency,
             kept=self.kept,
             whole=self.whole,
             share=self.share,
             moved_at=self.inner.n_carry if self.moves else -1,
             process_at=self.inner.n_noise if self.noise.process else -1,
             observed_at=self.observed_at if self.observes else -1,
-            sensed_at=self.ends[5],
+            sensed_at=self.ends[3],
             sensor_at=self.n_noise - nx if self.senses else -1,
             own=inner.parameters,
         )
         source = KernelSource(disturbed, {"inner": inner.source})
-        return DynamicsKernel(source, parameters, nx + nu + inner.n_scratch, inner.precision)
+        return DynamicsKernel(source, parameters, nx + inner.n_scratch, inner.precision)
 
     def _observed(self, states: Array) -> Array:
         """Return the delayed state (B, nx), without sensor errors, from ``states`` (B, any, nx), newest first."""
@@ -269,33 +219,24 @@ def _driven(dynamics: Dynamics) -> Array:
 
 
 HEAD = Layout(
-    "nx", "nu", "latency", "kept", "whole", "share", "moved_at", "process_at", "observed_at", "sensed_at", "sensor_at",
-    "own", align=CACHE_LINE,
+    "nx", "kept", "whole", "share", "moved_at", "process_at", "observed_at", "sensed_at", "sensor_at", "own",
+    align=CACHE_LINE,
 )  # fmt: skip
 """Rows are -1 if absent: in the carry, the first ones of gains, observations and sensor errors (``moved_at``,
-``observed_at``, ``sensed_at``); in the noise, ``process_at`` and ``sensor_at``. Bounds and free controls follow.
+``observed_at``, ``sensed_at``); in the noise, ``process_at`` and ``sensor_at``. The state bounds follow.
 """
 
 
 def disturbed(carry, control, noise, parameters, scratch):
-    """Choose the command that acts, step the inner dynamics with it, disturb the state, and write the observation."""
-    nx, nu = int(parameters[HEAD.nx]), int(parameters[HEAD.nu])
+    """Step the inner dynamics, disturb the state, and write the observation."""
+    nx = int(parameters[HEAD.nx])
     moved, seen, limits = parameters[HEAD.moved_at], parameters[HEAD.observed_at], view(parameters, HEAD.size)
-    rows, size, before, acts = nx * LANES, nu * LANES, scratch, control
+    rows, before = nx * LANES, scratch
     if moved >= 0.0:
         copy(carry, before, rows)
-        acts = view(scratch, rows)
-        late(
-            control,
-            acts,
-            view(carry, (int(moved) + 2 * nx) * LANES),
-            int(parameters[HEAD.latency]),
-            nu,
-            view(limits, 2 * nx),
-        )
     if seen >= 0.0:
         remember(carry, view(carry, (int(seen) + nx) * LANES), int(parameters[HEAD.kept]), rows)
-    inner(carry, acts, noise, view(parameters, int(parameters[HEAD.own])), view(scratch, rows + size))
+    inner(carry, control, noise, view(parameters, int(parameters[HEAD.own])), view(scratch, rows))
     if moved >= 0.0:
         gain = view(carry, int(moved) * LANES)
         for row in range(nx):
@@ -319,24 +260,11 @@ def disturbed(carry, control, noise, parameters, scratch):
                 later = later - splat(share) * (later - load(states, (whole * nx + row) * LANES))
             store(observed, row * LANES, later)
     if parameters[HEAD.sensor_at] >= 0.0:
-        observed, bias = view(carry, int(seen) * LANES), view(carry, int(parameters[HEAD.sensed_at]) * LANES)
-        level, drawn = view(bias, rows), view(noise, int(parameters[HEAD.sensor_at]) * LANES)
+        observed, level = view(carry, int(seen) * LANES), view(carry, int(parameters[HEAD.sensed_at]) * LANES)
+        drawn = view(noise, int(parameters[HEAD.sensor_at]) * LANES)
         for row in range(nx):
-            there = load(observed, row * LANES) + load(bias, row * LANES)
-            store(observed, row * LANES, there + load(level, row * LANES) * load(drawn, row * LANES))
-
-
-def late(control, acts, delay, latency, nu, free):
-    """Write the command that acts, at most ``latency`` samples old, and store the new one."""
-    size, commands = nu * LANES, view(delay, LANES)
-    copy(control, acts, size)
-    for back in range(1, latency + 1):
-        off = abs(load(delay, 0) - float(back))
-        for row in range(nu):
-            if free[row] > 0.0:
-                older = load(commands, ((back - 1) * nu + row) * LANES)
-                store(acts, row * LANES, where_at_most(off, 0.0, older, load(acts, row * LANES)))
-    remember(control, commands, latency, size)
+            error = load(level, row * LANES) * load(drawn, row * LANES)
+            store(observed, row * LANES, load(observed, row * LANES) + error)
 
 
 def remember(newest, past, count, size):

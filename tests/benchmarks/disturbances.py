@@ -45,9 +45,8 @@ def wrapped(model: Dynamics) -> dict[str, Dynamics]:
         "a late state": Disturbed(model, delay=0.03),
         "`sensor=0.1`": noisy(sensor=0.1),
         "`gain=0.1`": noisy(gain=0.1),
-        "`latency=2`": noisy(latency=2),
         "`process=0.1`": noisy(process=0.1),
-        "all of these": noisy(sensor=0.1, gain=0.1, latency=2, process=0.1),
+        "all of these": noisy(sensor=0.1, gain=0.1, process=0.1),
     }
 
 

@@ -28,7 +28,7 @@ SETTINGS = ControllerEvolution(
     task="point_to_point(horizon=40, waypoint_radius=0.6)",
     strategy="mu_plus_lambda(parents=4, children=4, spread=2.0)",  # at once some drive
 )
-NOISE = "domain_randomisation(sensor=0.2, latency=2, gain=0.2)"
+NOISE = "domain_randomisation(sensor=2.0, process=1.0, gain=0.2)"
 
 
 @dataclass
@@ -300,8 +300,7 @@ def test_noise_decides_what_candidates_score_and_the_same_seed_gives_the_same(mo
 def test_noise_applies_to_a_polish(models, evolved):
     start = evolved(models=models)
     plain, noisy = (
-        polish("x", start, models, replace(SETTINGS, noise=noise), seed=3, generations=3)
-        for noise in ("", "domain_randomisation(sensor=2.0, process=2.0)")
+        polish("x", start, models, replace(SETTINGS, noise=noise), seed=3, generations=3) for noise in ("", NOISE)
     )
     assert not np.array_equal(noisy.history, plain.history)
 
@@ -321,7 +320,7 @@ def test_noise_belongs_to_what_a_controllers_cell_depends_on():
 
     digests = [digest(noise=noise) for noise in ("", NOISE, "domain_randomisation(sensor=0.1)")]
     assert len(set(digests)) == 3
-    assert digest(noise="domain_randomisation(gain=0.2, latency=2, sensor=0.2)") == digests[1]
+    assert digest(noise="domain_randomisation(gain=0.2, process=1.0, sensor=2.0)") == digests[1]
 
 
 @pytest.mark.parametrize(("arena", "share"), [(1.5, 1.0), (45.0, 1.0 / 30.0)])

@@ -35,7 +35,7 @@ CHAMPION = Champion(
     system=switched_car(),
     seed_fitness=(0.1 + 0.2, 1 / 3),
     estimator_delay=0.0221,
-    noise="domain_randomisation(latency=2)",
+    noise="domain_randomisation(sensor=0.2)",
 )
 
 
