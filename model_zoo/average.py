@@ -69,7 +69,7 @@ class Average(MeanModel):
         self.become(members, np.full(len(members), 1.0 / len(members)))
         if self.stochastic:
             means = [(self.of(parts, self.weights_), held) for parts, held in ((fitted(a), b) for a, b in pairs)]
-            self.spread_on(means, rng, lambda: counter.advance(0))
+            self._spread_on(means, rng, lambda: counter.advance(0))
         return self
 
     @classmethod

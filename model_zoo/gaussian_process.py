@@ -77,7 +77,7 @@ class GaussianProcess(StochasticModel):
             for seen, unseen in recording_or_time_folds(dataset):
                 parts.append((self.variant(stochastic=False), unseen))
                 parts[-1][0]._condition(seen)
-            self.spread_on(parts, rng, lambda: counter.advance(0), own_deviation=True)
+            self._spread_on(parts, rng, lambda: counter.advance(0), own_deviation=True)
         return self
 
     def learned_arrays(self) -> Mapping[str, Declared]:
@@ -96,7 +96,7 @@ class GaussianProcess(StochasticModel):
     def acceleration(self, carry: Array, control: Array) -> Array:
         return self.predicted(carry, control, with_variance=False)[0]
 
-    def with_deviation(self, carry: Array, control: Array) -> tuple[Array, Array]:
+    def _with_deviation(self, carry: Array, control: Array) -> tuple[Array, Array]:
         mean, variance = self.predicted(carry, control)
         after = self.system.integrate(carry[:, : self.system.nx], mean)
         return after, np.sqrt(variance) * self.system.dt

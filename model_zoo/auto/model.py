@@ -108,7 +108,7 @@ class Auto(MeanModel):
         nothing_held_out = any(seen is held for seen, held in pairs)
         self.held_out_error_ = None if nothing_held_out else held_out_error(cases)
         if self.stochastic:
-            self.spread_on(cases, rng, work.report_alive)
+            self._spread_on(cases, rng, work.report_alive)
         return self
 
     def _tried(self, dataset: Dataset) -> tuple[list[Candidate], list[str]]:

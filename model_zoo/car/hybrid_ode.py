@@ -55,7 +55,7 @@ class HybridOde(NeuralOde, PlanarCarModel):
             found[..., lateral] = -state[..., lateral] * self.physical_[8]
         return found
 
-    def known_predictor(self) -> Predictor:
+    def _known_predictor(self) -> Predictor:
         parameters = np.concatenate(
             [self.kernel_parameters(), check_shape("physical_", self.physical_, self.initial.shape)]
         )

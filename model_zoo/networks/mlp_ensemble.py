@@ -178,7 +178,7 @@ class MlpEnsemble(StochasticModel):
     def acceleration(self, carry: Array, control: Array) -> Array:
         return self._members(carry, control).mean(axis=0)
 
-    def with_deviation(self, carry: Array, control: Array) -> tuple[Array, Array]:
+    def _with_deviation(self, carry: Array, control: Array) -> tuple[Array, Array]:
         members = self._members(carry, control)
         after = self.system.integrate(carry[:, : self.system.nx], members.mean(axis=0))
         return after, np.sqrt(members.var(axis=0) * self.system.dt**2 + self.residual_**2)

@@ -70,7 +70,7 @@ class NeuralOde(StochasticModel):
         "input_noise": at_least(0),
     }
     initial: ClassVar[Array] = np.empty(0)
-    calibration_folds: ClassVar[int] = 2
+    _calibration_folds: ClassVar[int] = 2
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": QUICK,
         "paper": {"one_step_updates": 3000, "updates": 1500},
@@ -165,12 +165,12 @@ class NeuralOde(StochasticModel):
         found = declared_layers(self.weights_, seen, self.system.nx, members=1)
         return {**found, "physical_": (len(self.initial),)} if len(self.initial) else found
 
-    def known_predictor(self) -> Predictor | None:
+    def _known_predictor(self) -> Predictor | None:
         """Return `known_rate` as a predictor of the fast engine, if there is one."""
         return None
 
     def predictor(self) -> Predictor | None:
-        return flow_predictor(self.network, self.system, self.lags, self.known_predictor())
+        return flow_predictor(self.network, self.system, self.lags, self._known_predictor())
 
     def next_state(self, carry: Array, control: Array) -> Array:
         return flow_step(self.network, self.system, self.lags, carry, control, self.known_rate)

@@ -55,7 +55,7 @@ class PolynomialModel(StochasticModel):
     """A family whose step is a polynomial of features of (carry, control), clipped to the training range.
 
     The polynomial gives the next state, or the change of an integral (`integrals`). A differential equation overrides
-    `regression`, `left_sides`, `next_state` and `predictor`. An offset is subtracted from channels far from zero, such
+    `regression`, `_left_sides`, `next_state` and `predictor`. An offset is subtracted from channels far from zero, such
     as a map coordinate or a temperature in kelvin: monomials of 1e6 + x are nearly collinear, so that neither fits nor
     thresholds can separate them.
     """
@@ -74,31 +74,31 @@ class PolynomialModel(StochasticModel):
         """Offsets subtracted from states and controls (nx + nu); () for none, as in older stored models."""
         return tuple(getattr(self, "offsets_", ()))
 
-    def features_of(self, system: System, lags: tuple[int, int]) -> Features:
+    def _features_of(self, system: System, lags: tuple[int, int]) -> Features:
         """Return the features of the polynomial, also before the lags are chosen."""
         return Features(system, lags, offsets=self.offsets)
 
     @property
     def features(self) -> Features:
         """The features of the polynomial."""
-        return self.features_of(self.system, self.lags)
+        return self._features_of(self.system, self.lags)
 
     def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
         """Return regressors and targets for the polynomial."""
         data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
-        features, added = self.features_of(dataset.system, lags), integrals(dataset)
+        features, added = self._features_of(dataset.system, lags), integrals(dataset)
         seen = features(data.carry, data.control)
-        targets = data.after - np.where(added, data.state, self.zero_of(added))
+        targets = data.after - np.where(added, data.state, self._zero_of(added))
         found = Regression(seen, targets, seen, data.state, added)
         return found[np.flatnonzero(between_limits(dataset.system, data.after))]
 
-    def zero_of(self, added: Array | BoolArray) -> Array:
+    def _zero_of(self, added: Array | BoolArray) -> Array:
         """Return the zero points (nx,) of the targets: 0 for changes (``added``), offsets for the others."""
         return np.where(added, 0.0, self.offsets[: len(added)] or 0.0)
 
     def set_learned(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
         """Store the terms with a coefficient as right-hand side, with the range of ``data``."""
-        zero = self.zero_of(data.added)
+        zero = self._zero_of(data.added)
         if zero.any():  # offsets of the targets become a constant
             if exponents.any(axis=1).all():
                 exponents = np.concatenate([np.zeros_like(exponents[:1]), exponents])
@@ -106,7 +106,7 @@ class PolynomialModel(StochasticModel):
             coefficients = coefficients + zero * ~exponents.any(axis=1, keepdims=True)
         used = np.flatnonzero(np.any(coefficients != 0, axis=1))
         used = used if len(used) else np.array([0])
-        seen = self.kept_features(exponents[used])
+        seen = self._kept_features(exponents[used])
         self.coefficients_ = np.ascontiguousarray(coefficients[used])
         self.exponents_ = np.ascontiguousarray(exponents[used][:, seen])
         self.low_, self.high_ = data.measured.min(axis=0)[seen], data.measured.max(axis=0)[seen]
@@ -125,7 +125,7 @@ class PolynomialModel(StochasticModel):
             "training_sample_": ("pairs", nx + self.system.nu),
         }
 
-    def kept_features(self, exponents: IntArray) -> IntArray:
+    def _kept_features(self, exponents: IntArray) -> IntArray:
         """Return which features to keep, including those of terms with ``exponents`` (T, n); by default all."""
         return np.arange(exponents.shape[1])
 
@@ -165,9 +165,9 @@ class PolynomialModel(StochasticModel):
         """Notes on the training data, and on an unstable equation."""
         return "; ".join(part for part in (super().fit_note, self.stability.sentence) if part)
 
-    def left_sides(self) -> list[tuple[str, str]]:
+    def _left_sides(self) -> list[tuple[str, str]]:
         """Return the left side of each equation and its unit."""
-        states = zip(self.system.states, self.added_, self.zero_of(self.added_), strict=True)
+        states = zip(self.system.states, self.added_, self._zero_of(self.added_), strict=True)
         return [(less(f"{c.name}[+1]", zero) + (f" - {c.name}" if added else ""), c.unit) for c, added, zero in states]
 
     def coefficients(self) -> Array:
@@ -177,14 +177,14 @@ class PolynomialModel(StochasticModel):
     def _printed(self) -> Array:
         """Return the coefficients (T, nx) without the part that belongs to the left-hand side."""
         constant = ~self.exponents_.any(axis=1, keepdims=True)
-        return self.coefficients_ - constant * self.zero_of(self.added_)
+        return self.coefficients_ - constant * self._zero_of(self.added_)
 
     def equations(self) -> list[str]:
         """Return one equation for each state, with the unit of every coefficient in brackets."""
         features, coefficients = self.features, self._printed()
         return [
             equation(left, unit, coefficients[:, channel], self.exponents_, features.shown_names, features.units)
-            for channel, (left, unit) in enumerate(self.left_sides())
+            for channel, (left, unit) in enumerate(self._left_sides())
         ]
 
 

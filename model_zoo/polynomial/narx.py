@@ -87,7 +87,7 @@ class Narx(PolynomialModel):
         if self.degree is not None:
             return [(lags, self.degree) for lags in pairs]
         every = [(lags, degree) for lags in pairs for degree in DEGREES]
-        sizes = [library_size(len(self.features_of(dataset.system, lags).names), degree) for lags, degree in every]
+        sizes = [library_size(len(self._features_of(dataset.system, lags).names), degree) for lags, degree in every]
         smallest = min(DEGREES)
         pairs_sizes = zip(every, sizes, strict=True)
         return [

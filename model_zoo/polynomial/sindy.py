@@ -64,8 +64,8 @@ class SparsePolynomial(PolynomialModel):
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"lag_search": "few"}}
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "threshold": at_least(0), "ridge": at_least(0)}
     lag_options: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3))
-    few_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 3))
-    has_weak_form: ClassVar[bool] = False
+    _few_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 3))
+    _has_weak_form: ClassVar[bool] = False
 
     degree: int | None = None
     threshold: float | None = None
@@ -84,7 +84,7 @@ class SparsePolynomial(PolynomialModel):
             named_terms = read_library(self.library)
             if self.degree is not None:
                 raise InvalidArgument(f"degree={self.degree}: give it in the library, polynomial(degree={self.degree})")
-            if named_terms.weak is not None and not self.has_weak_form:
+            if named_terms.weak is not None and not self._has_weak_form:
                 raise InvalidArgument(f"{type(self).__name__} has no weak form; use sindy")
         if self.optimizer is not None:
             read_optimizer(self.optimizer)
@@ -93,11 +93,11 @@ class SparsePolynomial(PolynomialModel):
 
     def check_system(self, system: System) -> None:
         state_lags, control_lags = np.min(self._lag_candidates(), axis=0).tolist()
-        self.features_of(system, (state_lags, control_lags))
+        self._features_of(system, (state_lags, control_lags))
         if self.optimizer is not None:
             make_optimizer(self.optimizer)
 
-    def features_of(self, system: System, lags: tuple[int, int]) -> Features:
+    def _features_of(self, system: System, lags: tuple[int, int]) -> Features:
         requested = tuple(self.functions or ())
         features = Features(system, lags, requested, self.offsets)
         if self.library is None:
@@ -111,16 +111,16 @@ class SparsePolynomial(PolynomialModel):
             return super().features
         return Features(self.system, self.lags, tuple(self.used_functions_), self.offsets)
 
-    def terms_of(self, system: System, lags: tuple[int, int], degree: int) -> IntArray:
-        """Return the exponents (T, n) of the candidate terms over `features_of`."""
+    def _terms_of(self, system: System, lags: tuple[int, int], degree: int) -> IntArray:
+        """Return the exponents (T, n) of the candidate terms over `_features_of`."""
         if self.library is None:
-            return monomials(len(self.features_of(system, lags).names), degree)
+            return monomials(len(self._features_of(system, lags).names), degree)
         return basis_of(self.library, Features(system, lags, tuple(self.functions or ()))).exponents
 
-    def kept_features(self, exponents: IntArray) -> IntArray:
+    def _kept_features(self, exponents: IntArray) -> IntArray:
         if self.library is None:
-            return super().kept_features(exponents)
-        features = self.features_of(self.system, self.lags)
+            return super()._kept_features(exponents)
+        features = self._features_of(self.system, self.lags)
         plain, used = len(features.plain_names), np.sum(exponents, axis=0) > 0
         kept = np.flatnonzero(used | (np.arange(len(used)) < plain))
         self.used_functions_ = [features.functions[i - plain] for i in kept if i >= plain]
@@ -130,7 +130,7 @@ class SparsePolynomial(PolynomialModel):
         """Return the candidate terms of ``data``."""
         weak = None if self.library is None else read_library(self.library).weak
         rows = self.optimizer is not None and counts_rows(self.optimizer)
-        exponents = self.terms_of(self.system, lags, degree)
+        exponents = self._terms_of(self.system, lags, degree)
         return Library.of(data, exponents, weak=weak, dt=self.system.dt, rows=rows)
 
     def sampled(self, dataset: Dataset, lags: tuple[int, int]) -> IntArray | None:
@@ -215,13 +215,13 @@ class SparsePolynomial(PolynomialModel):
 
         def terms(setting: Setting) -> int:
             if self.library is not None:
-                return len(self.terms_of(dataset.system, setting[2], 0))
-            return library_size(len(self.features_of(dataset.system, setting[2]).names), setting[0])
+                return len(self._terms_of(dataset.system, setting[2], 0))
+            return library_size(len(self._features_of(dataset.system, setting[2]).names), setting[0])
 
         return [setting for setting in every if terms(setting) <= MAX_TERMS[self.lag_search]] or [every[0]]
 
     def _lag_candidates(self) -> list[tuple[int, int]]:
-        offered = self.few_lags if self.lag_search == "few" else self.lag_options
+        offered = self._few_lags if self.lag_search == "few" else self.lag_options
         return lag_candidates(self.state_lags, self.control_lags, offered)
 
 
@@ -293,7 +293,7 @@ class Sindy(SparsePolynomial):
 
     knowledge = "dark grey"
     requires = ("pysindy",)
-    has_weak_form = True
+    _has_weak_form = True
 
     def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
         system = dataset.system
@@ -301,7 +301,7 @@ class Sindy(SparsePolynomial):
         middle = 0.5 * (data.state + data.after)
         rate = (data.after - data.state) / system.dt - system.frame_rotation(middle)
         carry = np.concatenate([middle, data.carry[:, system.nx :]], axis=1)
-        features = self.features_of(system, lags)
+        features = self._features_of(system, lags)
         seen, measured = features(carry, data.control), features(data.carry, data.control)
         found = Regression(seen, rate, measured, data.state, integrals(dataset), self.sampled(dataset, lags))
         return found[np.flatnonzero(between_limits(system, data.after))]
@@ -310,13 +310,13 @@ class Sindy(SparsePolynomial):
         super().set_learned(data, coefficients, exponents)
         self.continuation_ = continuation_limits(data.states, data.targets, data.added)
 
-    def zero_of(self, added: Array | BoolArray) -> Array:
+    def _zero_of(self, added: Array | BoolArray) -> Array:
         return np.zeros(len(added))  # rates have no offset
 
     def learned_arrays(self) -> Mapping[str, Declared]:
         return {"continuation_": Numbers(5, self.system.nx, infinite=True)}
 
-    def left_sides(self) -> list[tuple[str, str]]:
+    def _left_sides(self) -> list[tuple[str, str]]:
         return [(f"acceleration of {c.name}", f"{c.unit or '1'}/s") for c in self.system.states]
 
     def predictor(self) -> Predictor | None:
@@ -347,7 +347,7 @@ class SindyDiscrete(SparsePolynomial):
     requires = ("pysindy",)
     knowledge = "black"
     lag_options: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3), (1, 3))
-    few_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 3), (1, 3))
+    _few_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 3), (1, 3))
 
 
 MARGIN = 0.1

@@ -120,7 +120,7 @@ class LtiSystem(StateSpaceModel):
 
     def _set_gain(self, gain: Array, history: int) -> None:
         self.gain_, self.n_lags_ = gain, history
-        self.set_rest()
+        self._set_rest()
 
     @property
     def fit_note(self) -> str:

@@ -90,9 +90,9 @@ class StateSpaceModel(DynamicsModel):
         slope = first[:, :ny] / scales.output_scale
         self.first_ = np.concatenate([slope, (first[:, ny] - slope @ scales.output_centre)[:, None]], axis=1)
         self.n_lags_ = max(one.history for one in observers)
-        self.set_rest()
+        self._set_rest()
 
-    def set_rest(self) -> None:
+    def _set_rest(self) -> None:
         """Store the hidden states after a long time with neutral outputs under neutral controls."""
         neutral, idle = self.system.neutral_state[None], self.system.neutral_control[None]
         hidden = neutral @ self.first_[:, :-1].T + self.first_[:, -1]

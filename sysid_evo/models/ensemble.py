@@ -123,7 +123,7 @@ class MeanModel(StochasticModel):
         return self._together.n_lags if hasattr(self, "members_") else 0
 
     @property
-    def n_plain(self) -> int:
+    def _n_plain(self) -> int:
         return self.system.nx + self._together.n_carry
 
     @property
@@ -143,14 +143,14 @@ class MeanModel(StochasticModel):
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         return super().step(carry, control, noise) if self.timed else self._advanced(carry, control, noise)
 
-    def undisturbed(self, carry: Array, control: Array) -> Array:
+    def _undisturbed(self, carry: Array, control: Array) -> Array:
         return self._advanced(carry, control, None)
 
     def disturbed(self, carry: Array, control: Array, disturbance: Array) -> Array:
         return self._advanced(carry, control, None, disturbance)
 
     def next_state(self, carry: Array, control: Array) -> Array:
-        return self.undisturbed(carry, control)[:, : self.system.nx]
+        return self._undisturbed(carry, control)[:, : self.system.nx]
 
     def _started(self, states: Array, controls: Array, draws: Array | None) -> Array:
         draws = np.zeros((len(states), self._together.n_draws)) if draws is None else draws

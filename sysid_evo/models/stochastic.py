@@ -36,7 +36,7 @@ class StochasticModel(DynamicsModel):
     includes the noise of the measured start, and one each up to 10, 20 and 60 steps, so that 90 % intervals contain
     90 % of the targets at all four. It is calibrated on simulations of held-out data: recordings in turn,
     or blocks of time of a single recording (`horizon_scales`). The deviation is the one-step error by default
-    (`with_deviation`).
+    (`_with_deviation`).
 
     All noise of a run is multiplied by the error of a simulation of the last 20 measured steps, in units of the usual
     one on held-out data, if that is above 1 (`RecentErrors`): in another condition intervals are wider. `start` uses
@@ -44,7 +44,7 @@ class StochasticModel(DynamicsModel):
     f, sigma_k is larger by (1 - 1 / f)^2 of what it lacks to its largest value since the second step.
     """
 
-    calibration_folds: ClassVar[int] = 4
+    _calibration_folds: ClassVar[int] = 4
     """Number of parts that are held out in turn to calibrate the noise; each takes another fit."""
     stochastic: bool = False
 
@@ -58,7 +58,7 @@ class StochasticModel(DynamicsModel):
         return RECENT if self.timed and hasattr(self, "usual_errors_") else 0
 
     @property
-    def n_plain(self) -> int:
+    def _n_plain(self) -> int:
         """Length of the carry without the rows of the noise."""
         return self.layout.size
 
@@ -72,7 +72,7 @@ class StochasticModel(DynamicsModel):
 
     @property
     def n_carry(self) -> int:
-        return self.n_plain + (self.system.nx + 2 if self.timed else 0)
+        return self._n_plain + (self.system.nx + 2 if self.timed else 0)
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         carry = self.initial_carry(*recent(states, controls, self.n_lags))
@@ -86,11 +86,11 @@ class StochasticModel(DynamicsModel):
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         if not self.timed:
-            return self.undisturbed(carry, control)
-        size, nx = self.n_plain, self.system.nx
+            return self._undisturbed(carry, control)
+        size, nx = self._n_plain, self.system.nx
         plain, lasting, count, factor = np.split(carry, [size, size + nx, size + nx + 1], axis=1)
         if noise is None:
-            after = self.undisturbed(plain, control)
+            after = self._undisturbed(plain, control)
         else:
             span = np.searchsorted(HORIZONS[:-1], count[:, 0], side="right")
             scale = self.horizon_scales_[span] * (1.0 + self._growth[span] * (1.0 - 1.0 / np.maximum(factor, 1.0)) ** 2)
@@ -131,17 +131,17 @@ class StochasticModel(DynamicsModel):
         for name in ("horizon_scales_", "persistent_", "residual_", "usual_errors_"):
             self.__dict__.pop(name, None)
 
-    def with_deviation(self, carry: Array, control: Array) -> tuple[Array, Array]:
+    def _with_deviation(self, carry: Array, control: Array) -> tuple[Array, Array]:
         """Return the next state (B, nx), and the unit of its noise, (nx,) or (B, nx)."""
         return self.next_state(carry, control), self.residual_
 
-    def undisturbed(self, carry: Array, control: Array) -> Array:
+    def _undisturbed(self, carry: Array, control: Array) -> Array:
         """Return the next carry without noise and without its rows."""
         return super().step(carry, control)
 
     def disturbed(self, carry: Array, control: Array, disturbance: Array) -> Array:
         """Return the next lagged carry, with ``disturbance`` (B, nx), in deviations, added to the state."""
-        after, deviation = self.with_deviation(carry, control)
+        after, deviation = self._with_deviation(carry, control)
         after = self.apply_limits(after + deviation * disturbance)
         return self.shift_lags(carry, control, after)
 
@@ -152,11 +152,11 @@ class StochasticModel(DynamicsModel):
         if not self.stochastic:
             return
         models = []
-        for seen, unseen in recording_or_time_folds(dataset)[: self.calibration_folds]:
-            models.append((self.settled().fit(seen, rng=rng, progress=lambda *_: heartbeat()), unseen))
-        self.spread_on(models, rng, heartbeat)
+        for seen, unseen in recording_or_time_folds(dataset)[: self._calibration_folds]:
+            models.append((self._settled().fit(seen, rng=rng, progress=lambda *_: heartbeat()), unseen))
+        self._spread_on(models, rng, heartbeat)
 
-    def settled(self) -> StochasticModel:
+    def _settled(self) -> StochasticModel:
         """Return an unfitted model of this family with the hyper-parameters that `fit` chose, without noise."""
         parameters = self.get_params(deep=False)
         chosen = {
@@ -167,7 +167,7 @@ class StochasticModel(DynamicsModel):
         found: StochasticModel = self.clone_unfitted().set_params(**{**chosen, "stochastic": False})
         return found
 
-    def spread_on(
+    def _spread_on(
         self,
         models: Sequence[tuple[StochasticModel, Dataset]],
         rng: np.random.Generator,
@@ -196,7 +196,7 @@ class StochasticModel(DynamicsModel):
     def _stepping_kernel(self) -> DynamicsKernel | None:
         if not self.timed:
             return super()._stepping_kernel
-        if type(self).with_deviation is not StochasticModel.with_deviation:
+        if type(self)._with_deviation is not StochasticModel._with_deviation:
             return None  # the unit of the noise differs from state to state
         predictor = self.variant(stochastic=False).predictor()  # without the rows after the lags
         if predictor is None:
