@@ -83,7 +83,7 @@ def test_import_with_advance_stores_it_and_a_model_keeps_it(tmp_path):
     fitted = run_here("fit", "a", "--models", "linear", "--out", "run", cwd=tmp_path)
     assert fitted.returncode == 0, fitted.stderr
     assert "evolve" not in fitted.stderr
-    card = run_here("models", "show", "run/models/linear", "--speed", "--json", cwd=tmp_path)
+    card = run_here("models", "show", "run/models/linear", "--json", cwd=tmp_path)
     assert card.returncode == 0, card.stderr
     assert "logged after" in json.loads(card.stdout)["advance"]
     with pytest.raises(IncompatibleSystem, match="expected data with advance"):
