@@ -29,6 +29,8 @@ FAULTS = (
     ("dropout", 0.8),
 )
 REST = 1.0  # s between two faults, in which the car drives again
+DRIVEN = 0.8  # s before a fault: longer than the filter of a recording, which needs 0.44 s without a gap
+ATTEMPTS = 5
 TOP_SPEED, TOP_YAW_RATE = 2.5, 6.0  # m/s, rad/s: more than the car reaches, less than any jump amounts to
 
 
@@ -97,14 +99,20 @@ def _ending(folder: Path, kind: str, duration: float, *, repeats: int, seed: int
 
 
 def _drive_through(rig: Rig, kind: str, duration: float, repeats: int, seed: int) -> tuple[Host, list[float]]:
-    """Start a host, let the fault happen ``repeats`` times, and return the host and when the windows opened (s)."""
-    rng = np.random.default_rng(seed)
-    began = time.monotonic()
-    host = rig.drive()
-    for _ in range(repeats):
-        time.sleep(0.5 + rng.uniform(0.0, 0.1))
-        rig.car.inject(Fault(kind=kind, duration=duration))
-        time.sleep(duration + REST)
+    """Start a host, let the fault happen ``repeats`` times, and return the host and when the windows opened (s).
+
+    Begin again where the machine pauses longer than a command lives.
+    """
+    for _attempt in range(ATTEMPTS):
+        rng = np.random.default_rng(seed)
+        began = time.monotonic()
+        host = rig.drive()
+        for _ in range(repeats):
+            time.sleep(DRIVEN + rng.uniform(0.0, 0.1))
+            rig.car.inject(Fault(kind=kind, duration=duration))
+            time.sleep(duration + REST)
+        if not host.paused:
+            break
     windows = [entry.time for entry in rig.entries(began) if entry.event == "fault"]
     return host, windows
 

@@ -63,9 +63,9 @@ class Rig(Closeable):
         deadline = since + PATIENCE
         while not any(entry.event == "buttons" and entry.value for entry in self.entries(since)):
             if host.process.poll() is not None:
-                ended, last = host.wait(), host.entries()[-1:]
-                if "longest pause" not in str(last):
-                    raise RuntimeError(f"the host ended before it drove: {ended} {last}")
+                ended = host.wait()
+                if not host.paused:
+                    raise RuntimeError(f"the host ended before it drove: {ended} {host.entries()[-1:]}")
                 host = self.start_host(*options)
             if time.monotonic() > deadline:
                 raise TimeoutError(f"the host did not drive within {PATIENCE} s")
@@ -92,6 +92,11 @@ class Host:
 
     def entries(self) -> list[Entry]:
         return read_journal(self._log) if self._log.exists() else []
+
+    @property
+    def paused(self) -> bool:
+        """Whether it ended because the machine paused longer than a command lives."""
+        return "longest pause" in str(self.entries()[-1:])
 
     def signal(self, number: int) -> float:
         """Send a signal; return when."""
